@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import wavequake as wq
+from wavequake.chain.sensitivities import open_sensitivity
 from wavequake.optics.catalog.names import system_names
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.systems.paraxial import paraxial
-from wavequake.workflows.sensitivity import open_sensitivity
 from wavequake.workflows.sensitivity_source import TELESCOPES, sensitivity_study
 from wavequake.workflows.study import bundled_studies, load_study
 

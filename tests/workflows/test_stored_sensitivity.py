@@ -7,12 +7,14 @@ import xarray as xr
 
 import wavequake as wq
 from wavequake.campaign.store import arrays
+from wavequake.chain import sensitivities as sensitivities_kept
+from wavequake.chain.sensitivities import open_sensitivity
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.optics.segments.sensitivity import sensitivities
 from wavequake.workflows import sensitivity as module
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.sensitivity import open_sensitivity, stored_sensitivity
+from wavequake.workflows.sensitivity import stored_sensitivity
 from wavequake.workflows.study import study_with
 
 STUDY = """
@@ -125,16 +127,29 @@ def test_units_and_labels(study, tmp_path):
     assert all("units" in ds[name].attrs and "long_name" in ds[name].attrs for name in ds.data_vars)
 
 
+@pytest.mark.parametrize("workflow", ["telescope-exposure", "segment-disturbance"])
+def test_other_kinds_of_studies_find_what_they_have_stored(tmp_path, workflow):
+    """Their telescope is that of a study of segments, whose identity is another."""
+    path = tmp_path / "small.toml"
+    path.write_text(STUDY.replace("segment-disturbance", workflow))
+    one = wq.load_study(path)
+    first, kept = stored_sensitivity(one, tmp_path / "store", mirror_terms=0)
+    again, found = stored_sensitivity(one, tmp_path / "store", mirror_terms=0)
+    assert (kept, found) == (False, True)
+    assert first.attrs["study"] == one.identity_text()
+    xr.testing.assert_identical(first, again)
+
+
 def test_what_was_stored_without_m1_as_a_whole_is_computed_again(study, tmp_path, monkeypatch):
     ds, _ = stored_sensitivity(study, tmp_path)
     assert ds.surface.values.tolist() == ["M1", "M2", "M3", "image"]
     assert ds.attrs["surfaces"] == 4
-    write = module.write_dataset
+    write = sensitivities_kept.write_dataset
 
     def earlier(made, target):
         write(made.isel(surface=slice(1, None)).assign_attrs(surfaces=3), target)
 
-    monkeypatch.setattr(module, "write_dataset", earlier)
+    monkeypatch.setattr(sensitivities_kept, "write_dataset", earlier)
     stored_sensitivity(study, tmp_path, mirror_terms=0)
     without, kept = stored_sensitivity(study, tmp_path)
     assert (without.sizes["surface"], kept) == (3, False)

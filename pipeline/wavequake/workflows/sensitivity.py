@@ -1,42 +1,31 @@
 """The sensitivities of a study's telescope as a labelled dataset, computed once and kept with its store."""
 
-import json
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.provenance import collect
 from wavequake.campaign.schema import Study
-from wavequake.campaign.store.store import (
-    MANIFEST,
-    SENSITIVITY,
-    read_manifest,
-    refuse_foreign,
-    refuse_other,
+from wavequake.chain.sensitivities import (
+    MIRROR_TERMS,
+    Elements,
+    kept_or_made,
+    require_own_store,
+    require_terms,
+    sensitivity_dataset,
 )
-from wavequake.campaign.store.whole import Labelled, read_dataset, write_dataset
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
-from wavequake.optics.checks import whole
-from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
-from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.segments.prepared import prepare
 from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
-from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
+from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_study import SegmentStudy, segment_text
 from wavequake.workflows.sensitivity_source import sensitivity_study
 from wavequake.workflows.study import study_with
 
 if TYPE_CHECKING:
     import xarray as xr
-
-SCHEMA = 1
-MIRROR_TERMS = 11  # of figures by default: up to primary spherical aberration
-LINE_OF_SIGHT = "direction of the best-fit plane (Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
 
 
 def sensitivity(
@@ -67,7 +56,7 @@ def sensitivity(
     Returns
     -------
     xarray.Dataset
-        ``sensitivity_zernike_surface`` and so on, see `dataset`.
+        ``sensitivity_zernike_surface`` and so on, see `wavequake.chain.sensitivities.sensitivity_dataset`.
 
     Raises
     ------
@@ -100,7 +89,6 @@ def stored_sensitivity(
         If what is there cannot be read.
     """
     if study.study.workflow in ("system-disturbance", "system-loop"):
-        # Another kind of studies; and the first of these builds on this module.
         from wavequake.workflows.systems.system_sensitivity import stored_system_sensitivity
         from wavequake.workflows.systems.system_study import SystemStudy
 
@@ -122,7 +110,7 @@ def stored_sensitivity(
         study,
         path,
         {"figure_terms": terms, "mirror_terms": mirror_terms, "surfaces": len(bench.system.surfaces) + 1},
-        lambda: dataset(bench, _of_bench(bench, device, terms, mirror_terms), device),
+        lambda: _dataset(bench, _of_bench(bench, device, terms, mirror_terms), device),
     )
 
 
@@ -143,50 +131,6 @@ def _telescope_text(study: Study) -> str:
     )
 
 
-def require_terms(*numbers: int) -> None:
-    """Raise UserError unless the numbers of Zernike terms can be."""
-    for number in numbers:
-        if not 0 <= whole(number, "the number of figure terms") <= MOST_TERMS:
-            raise UserError(f"There cannot be {number} figure terms; choose from 0 to {MOST_TERMS}.")
-
-
-def require_own_store(study: Study, path: Path) -> None:
-    """Raise UserError if the store at `path` is that of another study, or no store."""
-    refuse_foreign(path)
-    if (path / MANIFEST).exists():
-        manifest = read_manifest(path)
-        refuse_other(path, manifest, study.study.workflow, study.identity_text(), manifest.device_kind)
-
-
-def kept_or_made(
-    study: Study, path: Path, terms: Mapping[str, int], make: Callable[[], "xr.Dataset"]
-) -> tuple["xr.Dataset", bool]:
-    """Return the sensitivities that a store keeps if they have these `terms`, or those that are made now.
-
-    Raises
-    ------
-    UserError
-        If it keeps those of another study, or cannot be written.
-    StoreDamageError
-        If what is there cannot be read.
-    """
-    text, target = study.identity_text(), path / SENSITIVITY
-    if target.exists():
-        kept = open_sensitivity(path)
-        if kept.attrs["study"] != text:
-            name = json.loads(kept.attrs["study"])["study"]["name"]
-            raise UserError(
-                f"{target} belongs to another study ({name}-{kept.attrs['study_sha256'][:8]}, this one is "
-                f"{study.study.name}-{study.identity()[:8]}); choose another --store."
-            )
-        if all(kept.attrs.get(key) == value for key, value in terms.items()):
-            return kept, True
-    made = make()
-    made.attrs |= dict(terms)
-    write_dataset(made, target)
-    return open_sensitivity(path), False
-
-
 def _of_bench(bench: Bench, device: Device, figure_terms: int, mirror_terms: int) -> Sensitivities:
     prepared = replace(
         bench.prepared, slopes=None, sphere=None
@@ -200,145 +144,40 @@ def _of_bench(bench: Bench, device: Device, figure_terms: int, mirror_terms: int
         return sensitivities(prepared, device, field=bench.field)
 
 
-def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
-    """Label sensitivities and convert them from the optics' mm and waves to m and nm.
-
-    Returns
-    -------
-    xarray.Dataset
-        For ``X`` in ``surface`` (dims surface, dof), ``segment`` (segment, dof) and, with figure terms,
-        ``figure`` (segment, term) and ``mirror`` (mirror, mirror_term):
-        ``sensitivity_zernike_X`` (..., noll) in nm per m or rad,
-        ``sensitivity_los_X`` and ``sensitivity_centroid_X`` (..., axis) in mm per m or rad,
-        ``sensitivity_wfe_rms_raw_X`` in nm per m or rad, ``step_error_X``. A column of dx, dy, dz or of a
-        figure is per m, one of rx, ry, rz per rad.
-    """
-    import xarray as xr
-
-    surfaces = found.all_surfaces
-    matrices = {"surface": ("surface", surfaces), "segment": ("segment", found.segments)}
-    if found.figures is not None:
-        matrices["figure"] = ("segment", found.figures)
-    if found.mirrors is not None:
-        matrices["mirror"] = ("mirror", found.mirrors)
-    variables: dict[str, Labelled] = {}
-    for name, (element, matrix) in matrices.items():
-        variables |= _variables(name, element, matrix, bench.study.optics.wavelength_nm)
-        variables[f"sensitivity_zernike_{name}"][2]["obscuration"] = repr(bench.prepared.obscuration)
-    coordinates: dict[str, Labelled] = {
-        "surface": (("surface",), _text(surfaces.elements), {"long_name": "surface; M1 is all its segments"}),
-        "segment": (("segment",), _text(found.segments.elements), {"long_name": "segment of M1"}),
-        "dof": (("dof",), _text(DOFS), {"long_name": "motion"}),
-        "noll": (("noll",), np.arange(1, surfaces.zernike.shape[2] + 1), {"long_name": "Noll index"}),
-        "axis": (("axis",), _text(("x", "y")), {"long_name": "axis of the image plane"}),
+def _dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
+    """Label the matrices of M1's segments, of M1 as a whole and of what comes after it."""
+    elements = {
+        "surface": Elements(
+            *("surface", "dof", "surface; M1 is all its segments", "motion"),
+            "motion about the vertex in the axes of the optics frame (z along the incoming light)",
+            (found.all_surfaces,),
+        ),
+        "segment": Elements(
+            *("segment", "dof", "segment of M1", "motion"),
+            "motion about the center in the segment's local frame (dz to the sky)",
+            (found.segments,),
+        ),
     }
     if found.figures is not None:
-        coordinates["term"] = (
-            ("term",),
-            np.arange(1, len(found.figures.dofs) + 1),
-            {"long_name": "Noll index of the figure over the segment's circumscribed circle"},
+        elements["figure"] = Elements(
+            *("segment", "term", "segment of M1"),
+            "Noll index of the figure over the segment's circumscribed circle",
+            "surface height to the sky",
+            (found.figures,),
         )
     if found.mirrors is not None:
-        coordinates["mirror"] = (("mirror",), _text(found.mirrors.elements), {"long_name": "mirror after M1"})
-        coordinates["mirror_term"] = (
-            ("mirror_term",),
-            np.arange(1, len(found.mirrors.dofs) + 1),
-            {"long_name": "Noll index of the figure over the axial beam's footprint"},
+        elements["mirror"] = Elements(
+            *("mirror", "mirror_term", "mirror after M1"),
+            "Noll index of the figure over the axial beam's footprint",
+            "surface height along the surface's z axis (for M2 along the incoming light)",
+            (found.mirrors,),
         )
-    worst = {name: matrix.worst for name, (_, matrix) in matrices.items()}
-    attrs = {
-        "title": "Wavequake kinematic-optical sensitivities (Störkle 2018, Eq. 4.21)",
-        "schema": SCHEMA,
-        "study": bench.text,
-        "study_sha256": bench.study.identity(),
-        "line_of_sight": LINE_OF_SIGHT,
-        "method": "central differences of full traces about the reference configuration",
-        "step_tolerance": surfaces.tolerance,
-        "steps_agree": int(all(matrix.agrees for _, matrix in matrices.values())),
-        **{
-            f"worst_step_error_{name}": f"{error:.1e} ({element} {dof})"
-            for name, (element, dof, error) in worst.items()
-        },
-        **({"vignetted": words} if (words := bench.stopped.words()) else {}),
-        **({"note": bench.system.note} if bench.system.note else {}),
-        "device": f"{device.name} ({device.kind})",
-        **collect(device),
-    }
-    return xr.Dataset(variables, coordinates, attrs)
-
-
-def _variables(
-    name: str, element: str, matrix: SensitivityMatrix, wavelength_nm: float
-) -> dict[str, Labelled]:
-    """Return the arrays of one matrix by name, in nm or mm per m or rad."""
-    column = {"figure": "term", "mirror": "mirror_term"}.get(name, "dof")
-    frame = {
-        "surface": "motion about the vertex in the axes of the optics frame (z along the incoming light)",
-        "segment": "motion about the center in the segment's local frame (dz to the sky)",
-        "figure": "surface height to the sky",
-        "mirror": "surface height along the surface's z axis (for M2 along the incoming light)",
-    }[name]
-    per_mm = np.array([dof not in DOFS[3:] for dof in matrix.dofs])
-    scale = np.where(per_mm, MM_PER_M, 1.0)
-    unit = "m or rad" if column == "dof" else "m"
-    dims = (element, column)
-
-    def named(long_name: str, units: str) -> dict[str, str]:
-        return {"units": units, "long_name": f"{long_name}, per {frame}"}
-
-    return {
-        f"sensitivity_zernike_{name}": (
-            (*dims, "noll"),
-            matrix.zernike * scale[:, None] * wavelength_nm,
-            named("annular Noll Zernike coefficients", f"nm per {unit}"),
-        ),
-        f"sensitivity_los_{name}": (
-            (*dims, "axis"),
-            matrix.los * scale[:, None],
-            named(f"line of sight in the image plane: {LINE_OF_SIGHT}", f"mm per {unit}"),
-        ),
-        f"sensitivity_centroid_{name}": (
-            (*dims, "axis"),
-            matrix.centroid * scale[:, None],
-            named("geometric centroid of the rays in the image plane", f"mm per {unit}"),
-        ),
-        f"sensitivity_wfe_rms_raw_{name}": (
-            dims,
-            matrix.rms_raw * scale * wavelength_nm,
-            named("rms over the rays on glass of the wavefront's change, piston removed", f"nm per {unit}"),
-        ),
-        f"step_error_{name}": (
-            dims,
-            matrix.disagreement,
-            {
-                "units": "1",
-                "long_name": "difference to the result of the double step over the largest sensitivity "
-                "to any motion of the same unit; inf if the motion loses rays",
-            },
-        ),
-        f"step_{name}": (
-            (column,),
-            matrix.steps / scale,
-            {"units": unit, "long_name": "half width of the central differences"},
-        ),
-    }
-
-
-def _text(names: tuple[str, ...]) -> Any:
-    return np.array(names, dtype=object)
-
-
-def open_sensitivity(path: Path | str) -> "xr.Dataset":
-    """Read the sensitivities that a store keeps.
-
-    Raises
-    ------
-    UserError
-        If it keeps none, or those of another version of Wavequake.
-    StoreDamageError
-        If they cannot be read.
-    """
-    target = Path(path) / SENSITIVITY
-    if not target.exists():
-        raise UserError(f"There are no sensitivities at {target}; wavequake sensitivity STUDY computes them.")
-    return read_dataset(target, SCHEMA)
+    return sensitivity_dataset(
+        elements,
+        (),
+        bench.study.optics.wavelength_nm,
+        bench.prepared.obscuration,
+        device,
+        bench.stopped.words(),
+        bench.system.note,
+    )

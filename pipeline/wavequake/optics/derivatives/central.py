@@ -5,7 +5,7 @@ crossed an edge, rounding is too large, or the motion acts nonlinearly.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,6 +78,11 @@ class SensitivityMatrix:
     disagreement: Array
     tolerance: float
 
+    def part(self, which: slice) -> "SensitivityMatrix":
+        """Return the matrix of some of its elements."""
+        arrays = {name: getattr(self, name)[which] for name in BY_ELEMENT}
+        return replace(self, elements=self.elements[which], **arrays)
+
     @property
     def agrees(self) -> bool:
         """Whether two steps agree in all columns."""
@@ -88,6 +93,10 @@ class SensitivityMatrix:
         """Element, degree of freedom and size of the largest disagreement between two steps."""
         element, dof = np.unravel_index(np.argmax(self.disagreement), self.disagreement.shape)
         return self.elements[element], self.dofs[dof], float(self.disagreement[element, dof])
+
+
+BY_ELEMENT = ("zernike", "los", "centroid", "rms_raw", "disagreement")
+"""Arrays of a matrix whose first axis is that of its elements."""
 
 
 class Differences(NamedTuple):

@@ -16,6 +16,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.optics.derivatives.central import (
+    BY_ELEMENT,
     DOFS,
     FAINT,
     TOLERANCE,
@@ -55,8 +56,7 @@ class Sensitivities:
         """M1 as one rigid body and the surfaces after it."""
         both = (self.primary, self.surfaces)
         joined: dict[str, Any] = {
-            name: np.concatenate([getattr(one, name) for one in both])
-            for name in ("zernike", "los", "centroid", "rms_raw", "disagreement")
+            name: np.concatenate([getattr(one, name) for one in both]) for name in BY_ELEMENT
         }
         return replace(self.surfaces, elements=self.primary.elements + self.surfaces.elements, **joined)
 
