@@ -4,8 +4,10 @@ import os
 import signal
 import sys
 from contextlib import contextmanager, nullcontext, suppress
+from functools import lru_cache
 
 import pytest
+import typer.main
 from hypothesis import settings
 
 # One thread per process, as in a worker, and examples that are the same in every run.
@@ -22,7 +24,7 @@ settings.register_profile("ci", max_examples=25, deadline=None, derandomize=True
 settings.load_profile("ci")
 
 # Where tests look at the figures of pages.
-DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_retention_reports.py", "test_telescope_loop.py")
+DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_telescope_loop.py")
 
 
 @contextmanager
@@ -66,6 +68,14 @@ def _campaigns_that_name_no_place_are_serial():
     decide = run._why_serial
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "_why_serial", lambda study, path, workers: decide(study, path, workers or 1))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _the_command_line_is_built_once():
+    """All commands with their options take 60 ms, as long as many a test of one of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", lru_cache(maxsize=1)(typer.main.get_command))
         yield
 
 
