@@ -23,8 +23,27 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("ci", max_examples=25, deadline=None, derandomize=True, database=None)
 settings.load_profile("ci")
 
+# Files that take a minute and more, the longest first: the last file of a run shall be a short one.
+LONGEST = (
+    "test_recorded_numbers.py",
+    "test_docs.py",
+    "test_report_page.py",
+    "test_telemetry_lines.py",
+    "test_faults.py",
+    "test_retention_reports.py",
+    "test_allow_campaigns.py",
+    "test_retention.py",
+    "test_kept_images.py",
+    "test_sequential_contract.py",
+)
 # Where tests look at the figures of pages.
 DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_telescope_loop.py")
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the longest files, where files are dealt to processes in their order."""
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.name, len(LONGEST)))
 
 
 @contextmanager
