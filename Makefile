@@ -8,6 +8,9 @@ EXTRAS ?= test,lint,firmware,docs
 NEWEST ?= $(shell for one in python3.14 python3.13 python3.12 $(PYTHON); do \
   $$one -c '' 2>/dev/null && echo $$one && break; done)
 TESTS ?=
+# Tests wait for workers, too: one process more than there are processors. conftest.py orders their files.
+JOBS ?= $(shell echo $$(($$(nproc 2>/dev/null || echo 2) + 1)))
+PYTEST := -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 # PoCL links its kernels: a machine without any linker gets one from PyPI.
 comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
@@ -33,7 +36,7 @@ run: $(VENV)/.run
 	@$(BIN)/wavequake run $(STUDY)
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python $(PYTEST)
 
 # Quick files of every folder of tests/; a test sees to it that none is left out. Bits of all studies in other
 # places take three minutes: `make test` compares them.
@@ -47,12 +50,13 @@ FAST := test_architecture.py test_recorded_numbers.py \
   fuzz/test_fuzz.py viewer/test_film.py
 
 test-fast: $(VENV)/.dev
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile -k "not bits_do_not_depend" $(addprefix tests/,$(FAST))
+	$(BIN)/python $(PYTEST) -q -k "not bits_do_not_depend" $(addprefix tests/,$(FAST))
 
 soak: $(VENV)/.dev
 	SOAK_KILLS=$${SOAK_KILLS:-200} SOAK_SEEDS=$${SOAK_SEEDS:-100000} \
-	  TWIN_RECORDS=200 $(BIN)/python -m pytest -q -s tests/workflows/test_soak.py tests/workflows/test_simulation.py \
-	  tests/mechanics/test_telemetry_lines.py
+	  TWIN_RECORDS=200 STOPPED_S=40 $(BIN)/python -m pytest -q -s \
+	  tests/workflows/test_soak.py tests/workflows/test_simulation.py \
+	  tests/workflows/test_starts.py tests/mechanics/test_telemetry_lines.py
 
 fuzz: $(VENV)/.dev
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[ansys]' || \
@@ -66,7 +70,7 @@ newest:
 	@$(NEWEST) -m venv --clear $(VENV)-newest
 	@$(VENV)-newest/bin/python -m pip install -q --disable-pip-version-check --upgrade \
 	  --upgrade-strategy eager -e '.[$(EXTRAS)$(if $(LINKER),$(comma)linker)]'
-	$(VENV)-newest/bin/python -m pytest -n 2 --dist loadfile $(TESTS)
+	$(VENV)-newest/bin/python $(PYTEST) $(TESTS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

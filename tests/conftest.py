@@ -4,8 +4,10 @@ import os
 import signal
 import sys
 from contextlib import contextmanager, nullcontext, suppress
+from functools import lru_cache
 
 import pytest
+import typer.main
 from hypothesis import settings
 
 # One thread per process, as in a worker, and examples that are the same in every run.
@@ -21,8 +23,27 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("ci", max_examples=25, deadline=None, derandomize=True, database=None)
 settings.load_profile("ci")
 
+# Files that take a minute and more, the longest first: the last file of a run shall be a short one.
+LONGEST = (
+    "test_recorded_numbers.py",
+    "test_docs.py",
+    "test_report_page.py",
+    "test_telemetry_lines.py",
+    "test_faults.py",
+    "test_retention_reports.py",
+    "test_allow_campaigns.py",
+    "test_retention.py",
+    "test_kept_images.py",
+    "test_sequential_contract.py",
+)
 # Where tests look at the figures of pages.
-DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_retention_reports.py", "test_telescope_loop.py")
+DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_telescope_loop.py")
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the longest files, where files are dealt to processes in their order."""
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.name, len(LONGEST)))
 
 
 @contextmanager
@@ -66,6 +87,14 @@ def _campaigns_that_name_no_place_are_serial():
     decide = run._why_serial
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "_why_serial", lambda study, path, workers: decide(study, path, workers or 1))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _the_command_line_is_built_once():
+    """All commands with their options take 60 ms, as long as many a test of one of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", lru_cache(maxsize=1)(typer.main.get_command))
         yield
 
 

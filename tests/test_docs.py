@@ -71,6 +71,7 @@ def follow(command, wavequake):
     assert code == 0, (command, complained)
 
 
+@pytest.mark.usefixtures("undrawn")  # reports of every kind are drawn in tests of report and viewer
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
 def test_commands_run(page, tmp_path, monkeypatch, wavequake):
     """The commands of a page, in order, in one folder."""

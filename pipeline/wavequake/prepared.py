@@ -5,6 +5,7 @@ by any angle), so that a campaign would depend on where it runs. A preparation m
 plan, a report or a user's script, with all threads: it is guarded here, not where cases are computed.
 """
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,7 +13,7 @@ from contextlib import contextmanager
 from functools import lru_cache, wraps
 from typing import Any, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -25,17 +26,26 @@ def one_thread() -> Iterator[None]:
 
     A thread that is given up may never leave: each restores what it found, and waits for no other.
     """
-    if getattr(_this, "entered", False):  # looking for the libraries takes 1 ms
+    if getattr(_this, "entered", False):
         yield
         return
     import scipy.linalg  # noqa: F401 - its BLAS can be limited only once it is loaded
 
     _this.entered = True
     try:
-        with threadpool_limits(1):
+        with _libraries(len(sys.modules)).limit(limits=1):
             yield
     finally:
         _this.entered = False
+
+
+@lru_cache(maxsize=1)
+def _libraries(modules: int) -> ThreadpoolController:
+    """Return the libraries whose threads can be limited, when so many modules are loaded.
+
+    Looking for them takes 3 ms and more; new ones come with modules.
+    """
+    return ThreadpoolController()
 
 
 @contextmanager

@@ -1,4 +1,3 @@
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +8,10 @@ from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.kernels.trace.sequence import Rays
-from wavequake.kernels.trace.sequential_numpy import on_glass, trace_sequence_numpy
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.media.glasses import AIR, glass, refractive_index
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.optics.rays.packing import moving, opening_regions, pack
+from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.shapes.shapes import (
@@ -288,59 +287,6 @@ def test_what_is_not_supported_is_refused_by_name(text, match):
 def test_a_missing_file(tmp_path):
     with pytest.raises(UserError, match=r"none\.zmx cannot be read"):
         read_zmx(tmp_path / "none.zmx")
-
-
-def test_apertures_of_the_beam():
-    def pupil(text, row=STOP):
-        return read(row, header=f"{text}\nWAVM 1 0.55 1\nFTYP 0 0 1 1 0 0 0").pupil
-
-    assert pupil("FNUM 4 0") == Pupil("f_number", 4.0)
-    near = lens(STOP, header="OBNA 0.6 0\nWAVM 1 0.55 1\nFTYP 1 0 1 1 0 0 0").replace("INFINITY", "7")
-    assert parse_zmx(near, "lens.zmx").pupil == Pupil("stop", pytest.approx(7 * 0.75))  # tan of asin 0.6
-    cone = near.replace("OBNA 0.6 0", f"OBNA {math.degrees(math.asin(0.6))!r} 1")
-    assert parse_zmx(cone, "lens.zmx").pupil.value == pytest.approx(7 * 0.75)
-    assert pupil("FLOA", STOP + "\n  DIAM 3.5") == Pupil("stop", 3.5)
-
-
-def test_a_decentered_aperture_is_about_its_center():
-    header = "UNIT CM\nENPD 10\nWAVM 1 0.55 1\nFTYP 0 0 1 1 0 0 0"
-    for line, inside, outside in (
-        ("CLAP 0.1 1 0", [(31.5, -20), (38, -20)], [(30, -20), (41, -20), (0, 0)]),
-        ("OBSC 0 1 0", [(0, 0), (41, -20)], [(30, -20), (39, -20)]),
-        ("SQAP 1 2 0", [(39, -1), (21, -39)], [(41, -20), (30, 1), (0, 0)]),
-        ("SPID 0.1 1 0", [(29, -20), (31, -19)], [(31, -20), (90, -20.4)]),
-    ):
-        opening = read(STOP + f"\n  {line}\n  OBDC 3 -2", header=header).surfaces[0].opening
-        assert opening.center == (30.0, -20.0)
-        x, y = np.array([*inside, *outside], float).T
-        passed = [True] * len(inside) + [False] * len(outside)
-        assert on_glass(opening_regions(opening), x, y).tolist() == passed
-
-
-def test_an_elliptic_aperture_is_a_polygon_of_its_area():
-    system = read("  STOP\n  ELAP 2 3 0\n  OBDC 0.5 0\n  DISZ 1")
-    opening = system.surfaces[0].opening
-    corners = np.array(opening.corners)
-    x, y = corners.T
-    area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
-    assert area == pytest.approx(np.pi * 2.0 * 3.0, rel=1e-12)
-    np.testing.assert_allclose((x / 2.0) ** 2 + (y / 3.0) ** 2, 1.0, atol=1.5e-3)
-    assert opening.center == (0.5, 0.0)
-    assert "Elliptic apertures are polygons of 72 corners and the same area here: surface 1." in system.note
-    place = np.array([0.5 + 1.99, 0.5 + 2.01, 0.5, 0.5, 0.5 - 1.99]), np.array([0.0, 0.0, 2.99, 3.01, 0.0])
-    inside = on_glass(opening_regions(opening), *place)
-    np.testing.assert_array_equal(inside, [True, False, True, False, True])
-    with pytest.raises(UserError, match="elliptic aperture of 0 and 3 mm; both must be positive"):
-        read("  STOP\n  ELAP 0 3 0\n  DISZ 1")
-
-
-def test_spider_arms_reach_outwards_at_equal_angles():
-    opening = read(STOP + "\n  SPID 2 3 0").surfaces[0].opening
-    blocked = [
-        not on_glass(opening_regions(opening), np.array([x]), np.array([y]))[0]
-        for x, y in [(5, 0.9), (5, 1.1), (-5, 0.0), (-2.5, 4.33), (-2.5, -4.33), (0.0, 5.0)]
-    ]
-    assert blocked == [True, False, False, True, True, False]
 
 
 TOKENS = ["", "0", "-1", "1e300", "1e400", "nan", "x", "INFINITY", "MIRROR", "___BLANK 1 0 1.5", "3.5", "é"]

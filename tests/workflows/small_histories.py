@@ -107,7 +107,7 @@ actuator = "steer"
 # Study, changed keys, cases.
 SMALL = {
     "system-disturbance": (SYSTEM, {}, 5),
-    "system-loop": (STEERED, {}, 5),
+    "system-loop": (STEERED, {"disturbance.hum.duration_s": 0.5, "disturbance.sight.duration_s": 0.5}, 5),
     "segment-disturbance": (small_telescope.STUDY, {"imaging.enabled": False}, 7),
     "telescope-exposure": (EXPOSED, TELESCOPE, 3),
     "telescope-loop": ("tmt-ao", LOOPS, 3),

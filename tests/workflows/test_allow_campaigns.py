@@ -25,6 +25,8 @@ workflow = "system-disturbance"
 [system]
 name = "double-gauss"
 f_number = 8.0
+fields_deg = [[0.0, 0.0], [0.0, 5.0]]
+wavelengths_nm = [587.6]
 [optics]
 rays = 60
 [wavefront]

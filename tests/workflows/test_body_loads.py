@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import scipy.special
-from test_telescope_structure import FEET, OPTICS, RIGID, drawn, shaken, study_of
+from small_bodies import FEET, OPTICS, RIGID, drawn, shaken, study_of
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.sources.body_wind import BodyWind, coherence, drawn_coherent

@@ -4,7 +4,8 @@ import csv
 
 import numpy as np
 import pytest
-from test_telescope_structure import OPTICS, RIGID
+from small_bodies import OPTICS, RIGID
+from small_system import SYSTEM
 from tests.mechanics.shaken import oscillator_series
 
 import wavequake as wq
@@ -21,55 +22,22 @@ from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_measure import measured_cases
 
-STUDY = """# A comment that stays.
+STUDY = (
+    """# A comment that stays.
 [study]
 name = "two-mirrors"
 workflow = "system-disturbance"
-
-[system]
-name = "cassegrain"
-entrance_diameter_mm = 1000.0
-pupil_obscuration = 0.25
-fields_arcmin = [[0.0, 3.0]]
-wavelengths_nm = [550.0]
-
-[[system.surface]]
-name = "M1"
-radius_mm = -5000.0
-conic = -1.0
-glass = "mirror"
-semi_diameter_mm = 500.0
-stop = true
-
-[[system.surface]]
-name = "M2"
-distance_mm = 1940.0
-radius_mm = -1493.3333333333333
-conic = -2.7777777777777777
-glass = "mirror"
-semi_diameter_mm = 120.0
-
-[[system.surface]]
-name = "image"
-distance_mm = 2240.0
-
-[optics]
-rays = 200
-
+"""
+    + SYSTEM.replace("[[0.0, 0.0]]", "[[0.0, 3.0]]").replace("cases = 2", "cases = 16")
+    + """
 # What is replaced.
 [[disturbance]]
 name = "guess"
 model = "surface-random"
 of = ["M1"]
 rms = { dx_um = 1.0 }
-
-[wavefront]
-zernike_terms = 11
-
-[campaign]
-cases = 16
-device = "numpy"
 """
+)
 STEP = 1 / 64
 FORCE = 'name = "one"\nmodel = "body-force"\nat = ["cell"]\nspectrum = { rms = 0.5 }\n'
 COLUMNS = [f"wavefront.z{term}_nm" for term in (4, 5, 6, 7, 8)] + ["line_of_sight.x_um", "line_of_sight.y_um"]

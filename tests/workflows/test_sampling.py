@@ -145,6 +145,8 @@ def test_pistons_of_a_study_are_stratified_and_wind_is_as_random_as_before():
 
 def test_surfaces_of_any_system_are_stratified_too(tmp_path):
     keys = {"campaign.sampling": "sobol", "campaign.cases": 16, "optics.rays": 60, "campaign.replicates": 2}
+    keys |= {"imaging.pixels": 8, "system.fields_deg": [[0.0, 5.0]], "disturbance.vibration.instants": 4}
+    keys |= {"disturbance.all.instants": 4}
     study = load_study("double-gauss", keys)
     run_study(study, tmp_path / "s", on="serial")
     assert set(open_store(tmp_path / "s")["replicate"].to_numpy()) == {0, 1}

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from test_telescope_structure import ELASTIC, OPTICS, RIGID, SLOW
+from small_bodies import ELASTIC, OPTICS, RIGID, SLOW
 
 from wavequake.errors import UserError
 from wavequake.report.table import difference

@@ -1,147 +1,31 @@
 """Bodies of mass in studies of optical systems, against closed forms, dense sums and geometry."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import scipy.linalg
+from small_bodies import (
+    CAMERA,
+    CELL,
+    ELASTIC,
+    FEET,
+    OPTICS,
+    RIGID,
+    SLOW,
+    WELD,
+    Z_FORCE,
+    amplitude,
+    drawn,
+    floor,
+    shaken,
+    study_of,
+)
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.mechanics.assembly.answers import STANDARD_GRAVITY
-from wavequake.mechanics.assembly.beams import Tube, beam_frame
-from wavequake.mechanics.disturbances.registry import instants_of
-from wavequake.mechanics.mirrors.material import Material
-from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import KIND, draw, prepare
+from wavequake.workflows.systems.system_disturbance import KIND, prepare
 from wavequake.workflows.systems.system_measure import measured
 from wavequake.workflows.systems.system_variants import slot_of
-
-# A parabola of 1 m focal length; the image, a meter before it, on a camera that is welded to the cell.
-OPTICS = """
-[study]
-name = "bench"
-workflow = "system-disturbance"
-[system]
-entrance_diameter_mm = 100.0
-wavelengths_nm = [500.0]
-[[system.surface]]
-name = "M1"
-radius_mm = -2000.0
-conic = -1.0
-glass = "mirror"
-semi_diameter_mm = 55.0
-stop = true
-[[system.surface]]
-name = "image"
-distance_mm = 1000.0
-[optics]
-rays = 60
-[wavefront]
-zernike_terms = 11
-[campaign]
-cases = 4
-"""
-CELL = """
-[[body]]
-name = "cell"
-surfaces = ["M1"]
-[body.rigid]
-mass_kg = 8.0
-inertia_kg_m2 = [2.0, 3.0, 4.0]
-[body.rigid.nodes_mm]
-a = [300.0, 0.0, 0.0]
-b = [-300.0, 0.0, 0.0]
-c = [0.0, 300.0, 0.0]
-d = [0.0, -300.0, 0.0]
-"""
-CAMERA = """
-[[body]]
-name = "camera"
-surfaces = ["image"]
-[body.rigid]
-mass_kg = 2.0
-inertia_kg_m2 = [1.0, 1.0, 1.0]
-"""
-FEET = """
-[[link]]
-name = "feet"
-kind = "springs"
-joins = [["cell.a", "ground"], ["cell.b", "ground"], ["cell.c", "ground"], ["cell.d", "ground"]]
-stiffness_n_m = [2e5, 3e5, 4e5]
-"""
-WELD = """
-[[link]]
-name = "weld"
-kind = "rigid"
-joins = [["cell.a", "camera"]]
-[structure]
-damping_ratio = 0.02
-"""
-RIGID = CELL + CAMERA + FEET + WELD
-# The mirror itself is elastic, on three pairs of legs.
-ELASTIC = """
-[[body]]
-name = "primary"
-surfaces = ["M1"]
-[body.mirror]
-thickness_m = 0.004
-mount_radius_m = 0.035
-rings = 4
-figure_terms = 11
-[[link]]
-name = "legs"
-kind = "legs"
-joins = [
-    ["primary.1", "ground.f"], ["primary.1", "ground.a"], ["primary.2", "ground.b"],
-    ["primary.2", "ground.c"], ["primary.3", "ground.d"], ["primary.3", "ground.e"],
-]
-stiffness_n_m = 1e7
-[structure.ground_mm]
-a = [43.3, 25.0, 60.0]
-b = [0.0, 50.0, 60.0]
-c = [-43.3, 25.0, 60.0]
-d = [-43.3, -25.0, 60.0]
-e = [0.0, -50.0, 60.0]
-f = [43.3, -25.0, 60.0]
-"""
-
-
-def shaken(keys):
-    return f'[[disturbance]]\nname = "one"\nduration_s = 0.2\ninstants = 16\n{keys}\n'
-
-
-def floor(lines):
-    return shaken(f'model = "base-motion"\nlines = [{lines}]')
-
-
-SLOW = floor("{ frequency_hz = 1e-3, amplitude = { rx_urad = 3.0 } }")
-Z_FORCE = shaken(
-    'model = "body-force"\nat = ["cell"]\ndirection = [0.0, 0.0, 2.0]\n'
-    "lines = [{ frequency_hz = 30.0, force_n = 0.5 }]"
-)
-
-
-def study_of(folder, *parts, **overrides):
-    path = folder / "study.toml"
-    path.write_text("\n".join(parts))
-    return load_study(path, {key.replace("__", "."): value for key, value in overrides.items()})
-
-
-def drawn(study, case=0):
-    """Return the instants and the motion of a case."""
-    population, motion = draw(system_bench(study.identity_text()), case)
-    return instants_of(study.disturbance, population), motion
-
-
-def amplitude(time, values, frequency):
-    """Return the complex amplitude of what is a sinusoid of a frequency."""
-    phase = 2.0 * np.pi * frequency * time
-    basis = np.column_stack([np.cos(phase), -np.sin(phase)])
-    found, *_ = np.linalg.lstsq(basis, values)
-    np.testing.assert_allclose(basis @ found, values, atol=1e-9 * np.abs(values).max())
-    return complex(*found)
 
 
 def test_a_telescope_on_a_floor_that_tilts_slowly_points_elsewhere(tmp_path):
@@ -164,7 +48,7 @@ def test_a_telescope_on_a_floor_that_tilts_slowly_points_elsewhere(tmp_path):
 
 def test_the_floor_drags_springs_and_dampers_along(tmp_path):
     """Transmissibility (k + i w c) / (k - m w^2 + i w c) of 10 kg on springs of 1.6 MN/m in all."""
-    study = study_of(tmp_path, OPTICS, RIGID, floor("{ frequency_hz = 70.0, amplitude = { dz_um = 5.0 } }"))
+    study = study_of(tmp_path, OPTICS, RIGID, floor("dz_um = 5.0", 70.0))
     time, motion = drawn(study)
     own, omega = np.sqrt(4 * 4e5 / 10.0), 2.0 * np.pi * 70.0
     drag = own**2 + 2j * 0.02 * own * omega
@@ -297,144 +181,6 @@ def test_what_is_wrong_with_bodies_is_said(tmp_path, parts, words):
         prepare(study_of(tmp_path, OPTICS, *parts))
 
 
-# A camera on a mast of one tube, given as beams, as their matrices, and as all of their modes.
-MAST = """
-[[body]]
-name = "mast"
-[body.beams]
-diameter_mm = 40.0
-wall_mm = 2.0
-members = [["foot", "top"]]
-pieces = 2
-masses_kg = { top = 1.5 }
-carries = { image = "top" }
-[body.beams.nodes_mm]
-foot = [50.0, 0.0, 200.0]
-top = [50.0, 0.0, -1000.0]
-[[link]]
-name = "weld"
-kind = "rigid"
-joins = [["mast.foot", "ground"]]
-"""
-TOP = shaken(
-    'model = "body-force"\nat = ["mast.top"]\ndirection = [1.0, 2.0, 3.0]\n'
-    "lines = [{ frequency_hz = 20.0, force_n = 0.5 }]"
-)
-
-
-def mast_matrices():
-    points = {"foot": np.array([0.05, 0.0, 0.2]), "top": np.array([0.05, 0.0, -1.0])}
-    model = beam_frame(
-        "mast", points, [("foot", "top")], Tube(0.04, 0.002), Material(70e9, 0.33, 2700.0), 2, {"top": 1.5}
-    )
-    return model.mass.toarray(), model.stiffness.toarray(), 1e3 * np.array(list(points.values()))
-
-
-def as_matrices(mass, stiffness, nodes):
-    moves = np.hstack([np.eye(18)[:, :3], np.eye(18)[:, 6:9]])
-    turns = np.hstack([np.eye(18)[:, 3:6], np.eye(18)[:, 9:12]])
-    return {"mass": mass, "stiffness": stiffness, "nodes_mm": nodes, "inputs": moves, "turns": turns}
-
-
-def as_modes(mass, stiffness, nodes):
-    squared, shapes = scipy.linalg.eigh(stiffness, mass)
-    squared[:6] = 0.0
-    shown = shapes[:12].T.reshape(18, 2, 6)
-    return {
-        "frequencies_hz": np.sqrt(squared) / (2.0 * np.pi),
-        "damping_ratios": np.array(0.0),
-        "nodes_mm": nodes,
-        "shapes": shown,
-    }
-
-
-@pytest.mark.parametrize(("kind", "made"), [("matrices", as_matrices), ("modes", as_modes)])
-def test_own_matrices_and_tables_of_modes_are_the_beams_that_they_are_of(tmp_path, kind, made):
-    beams = drawn(study_of(tmp_path, OPTICS, MAST, TOP))[1].rigid["image"]
-    np.savez(tmp_path / "mast.npz", names=np.array(["foot", "top"]), **made(*mast_matrices()))
-    body = f'[[body]]\nname = "mast"\n[body.{kind}]\nfile = "mast.npz"\ncarries = {{ image = "top" }}\n'
-    weld = MAST[MAST.index("[[link]]") :]
-    found = drawn(study_of(tmp_path, OPTICS, body, weld, TOP))[1].rigid["image"]
-    np.testing.assert_allclose(found, beams, rtol=1e-6, atol=1e-8 * np.abs(beams).max())
-
-
-def test_a_surface_moves_with_a_node_beside_it(tmp_path):
-    """The image stands 50 mm beside the top of the mast: turns about z move it along y by the lever."""
-    moved = drawn(study_of(tmp_path, OPTICS, MAST, TOP))[1].rigid["image"]
-    keys = 'model = "base-motion"\nlines = [{ frequency_hz = 1e-3, amplitude = { rz_urad = 2.0 } }]'
-    slow = drawn(study_of(tmp_path, OPTICS, MAST, shaken(keys)))[1].rigid["image"]
-    assert np.abs(moved).max() > 0.0
-    np.testing.assert_allclose(slow[:, :3], 0.0, atol=1e-12)  # the vertex is on the axis of the turn
-    assert np.abs(slow[:, 5]).max() <= 2.0001e-6
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"mass": None}, "lacks the array 'mass'"),
-        ({"extra": np.zeros(3)}, "holds 'extra', which means nothing"),
-        ({"stiffness": np.eye(17)}, "'stiffness' of the body 'mast' has the shape"),
-        ({"stiffness": np.triu(np.ones((18, 18)))}, "'stiffness' of the body 'mast' is not symmetric"),
-        ({"mass": -np.eye(18)}, "is not positive definite"),
-        ({"inputs": np.full((18, 6), np.nan)}, "no finite number"),
-        ({"names": np.array(["top", "top"])}, "must be 2 different ones"),
-        ({"turns": None}, "'top', which has no rotations"),
-    ],
-)
-def test_bad_arrays_are_said(tmp_path, change, words):
-    arrays = as_matrices(*mast_matrices()) | {"names": np.array(["foot", "top"])} | change
-    np.savez(tmp_path / "mast.npz", **{name: one for name, one in arrays.items() if one is not None})
-    body = '[[body]]\nname = "mast"\n[body.matrices]\nfile = "mast.npz"\ncarries = { image = "top" }\n'
-    with pytest.raises(UserError, match=words):
-        prepare(study_of(tmp_path, OPTICS, body, MAST[MAST.index("[[link]]") :], TOP))
-
-
-DATA = Path(__file__).parents[1] / "data"
-PLATE = f"""
-[[body]]
-name = "plate"
-surfaces = ["M1"]
-[body.imported]
-file = "{DATA / "plate.sti"}"
-units = "m,kg,s,N"
-interfaces = "INTERFACES"
-surface = "SURFACE"
-figure_terms = 4
-[[link]]
-name = "feet"
-kind = "springs"
-joins = [["plate.1", "ground"], ["plate.2", "ground"], ["plate.3", "ground"]]
-stiffness_n_m = 1e4
-"""
-
-
-def test_an_imported_plate_hangs_on_its_springs(tmp_path):
-    """20 mm of aluminum, 1 m wide: m g / 3 k; what it bends beside that is a thousand times less."""
-    wide = OPTICS.replace("-2000.0", "-20000.0").replace("= 1000.0", "= 10000.0").replace("55.0", "500.0")
-    keys = 'model = "gravity"\nelevation_deg = [90.0, 80.0]\naligned_deg = 0.0\ndown = [1.0, 0.0, 0.0]'
-    study = study_of(tmp_path, wide, PLATE, shaken(keys), system__entrance_diameter_mm=900.0)
-    sag = drawn(study)[1].rigid["plate"][0]
-    weight = 2700.0 * np.pi / 4.0 * 0.02 * STANDARD_GRAVITY
-    assert sag[2] == pytest.approx(weight / 3e4, rel=2e-3)
-    assert abs(sag[0]) == pytest.approx(weight / 3e4, rel=0.05)  # at its rim, and it tilts
-
-
-def test_what_is_wrong_with_an_imported_body_is_said(tmp_path):
-    for change, words in (
-        (
-            {"units": "unit"},
-            "'body.plate.imported.unit' is unknown; the nearest valid key is 'units'",
-        ),
-        ({'units = "m,kg,s,N"': ""}, "body.plate.imported.units: is missing"),
-        ({"plate.sti": "plat.sti"}, "plat.sti"),
-    ):
-        text = PLATE
-        for old, new in change.items():
-            text = text.replace(old, new)
-        with pytest.raises(UserError, match=words):
-            study_of(tmp_path, OPTICS, text, SLOW)
-
-
 def test_what_nothing_holds_floats(tmp_path):
     """Two bodies on springs in space: a force moves them about their center of mass."""
     springs = """
@@ -492,8 +238,7 @@ c = [0.0, 50.0, 0.0]
 )
 def test_a_body_turns_about_its_own_point(tmp_path, text, name):
     """On a floor that turns slowly by e, every point p moves by e x p; so does where a body turns about."""
-    lines = "{ frequency_hz = 1e-3, amplitude = { rx_urad = 3.0, ry_urad = 2.0, rz_urad = 1.0 } }"
-    study = study_of(tmp_path, text, floor(lines))
+    study = study_of(tmp_path, text, floor("rx_urad = 3.0, ry_urad = 2.0, rz_urad = 1.0"))
     bench = system_bench(study.identity_text())
     point = bench.bodies[0].point / 1e3
     moved = drawn(study)[1].rigid[name]

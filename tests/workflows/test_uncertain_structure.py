@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_telescope_structure import FEET, OPTICS, RIGID, WELD, Z_FORCE, floor, shaken, study_of
+from small_bodies import FEET, OPTICS, RIGID, WELD, Z_FORCE, floor, shaken, study_of
 
 import wavequake as wq
 from wavequake.campaign.statistics.parted import parted
@@ -150,7 +150,7 @@ def test_cases_share_models_by_twos_and_models_do_not_touch_the_draws(tmp_path):
 
 def test_probabilities_hold_what_is_not_known(tmp_path):
     """A sinusoid above the resonance: with other frequencies its response is drawn from the closed form."""
-    keys = floor("{ frequency_hz = 72.0, amplitude = { dz_um = 5.0 } }")
+    keys = floor("dz_um = 5.0", 72.0)
     study = study_of(tmp_path, OPTICS, RIGID, uncertain("frequency = 0.04\nrepeats = 1"), keys)
     assert "replicate" not in KIND.case_table(study.identity_text(), 0, 2)
     bench = system_bench(study.identity_text())

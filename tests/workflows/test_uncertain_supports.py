@@ -122,7 +122,7 @@ def test_slow_wind_shows_the_log_normal_stiffness():
 
 
 def test_reports_part_the_variance(tmp_path):
-    for name, keys in (("images", {"imaging.enabled": True}), ("plain", {})):
+    for name, keys in (("images", {"imaging.enabled": True, "imaging.pixels": 16}), ("plain", {})):
         study = load_study(
             "tmt-segments",
             {**KEYS, **keys, "campaign.cases": 30, "structure.uncertain.frequency": 0.2},
