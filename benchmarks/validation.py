@@ -19,7 +19,7 @@ from scipy.special import j1
 
 from wavequake.control.bench import fitted_bench
 from wavequake.control.experiment import Settings, design
-from wavequake.control.regulator import run_regulators
+from wavequake.control.loop import commands_of
 from wavequake.control.sensor import SensorChain
 from wavequake.control.stage import Stage
 from wavequake.errors import UserError
@@ -127,8 +127,7 @@ def firmware() -> Iterator[Row]:
     regulator = design(bench, Stage(), Settings()).regulator
     hit, step = blow(bench, chain, regulator.sample_time, duration=4.0), 2 * chain.reach / 4095
     measured = hit.adc * step - chain.reach
-    one = (regulator.step[None], regulator.gain[None], regulator.row[None], regulator.start[None])
-    truth = run_regulators(*one, measured[None])[0]
+    truth = commands_of(regulator, measured[None])[0]
     for variant, beyond in (("float", 0.05e-6), ("q31", 0.05e-6), ("q16", 2e-6)):
         with tempfile.TemporaryDirectory() as folder:
             image = build("host", gains_of(regulator, chain, variant), Path(folder))

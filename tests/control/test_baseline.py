@@ -24,10 +24,10 @@ from wavequake.control.experiment import (
 )
 from wavequake.control.linear import LinearModel, simulate
 from wavequake.control.loop import (
+    commands_of,
     late_deviation,
     peak_to_peak,
     remaining_image,
-    run_thesis,
     stage_motion,
 )
 from wavequake.control.plant import swing
@@ -56,11 +56,8 @@ def controllers(bench):
 
 def left(free, time, commands, one, stages):
     """Return range and deviation (2, c) in % of uncontrolled for free images (c, k) and commands (c, k)."""
-    moved = [
-        stage_motion(stage, row, one.sample_time, one.compute_delay, STEP, free.shape[1])
-        for stage, row in zip(stages, commands, strict=True)
-    ]
-    image = remaining_image(free, np.stack(moved))
+    moved = stage_motion(stages, commands, one.sample_time, one.compute_delay, STEP, free.shape[1])
+    image = remaining_image(free, moved)
     shares = (
         peak_to_peak(image) / peak_to_peak(free),
         late_deviation(image, time) / late_deviation(free, time),
@@ -84,7 +81,11 @@ def population(name):
     return np.stack(
         [
             left(
-                free.image, free.time, run_thesis(one, seen[:, :: round(one.sample_time / STEP)]), one, stages
+                free.image,
+                free.time,
+                commands_of(one, seen[:, :: round(one.sample_time / STEP)]),
+                one,
+                stages,
             )
             for one in controllers(BENCH)
         ]

@@ -15,9 +15,9 @@ from wavequake.control.linear import (
     simulate,
     zero_order_hold,
 )
-from wavequake.control.loop import late_deviation, peak_to_peak, remaining_image, run_thesis, stage_motion
+from wavequake.control.loop import commands_of, late_deviation, peak_to_peak, remaining_image, stage_motion
 from wavequake.control.plant import swing
-from wavequake.control.regulator import modal_model, modal_regulator, run_regulators
+from wavequake.control.regulator import modal_model, modal_regulator
 from wavequake.control.sensor import SensorChain, read_positions
 from wavequake.control.stage import Stage
 from wavequake.control.thesis import (
@@ -52,7 +52,7 @@ def left(commands, sample_time, compute_delay):
 
 def left_by(controller):
     seen = SEEN[:, :: round(controller.sample_time / STEP)]
-    return left(run_thesis(controller, seen), controller.sample_time, controller.compute_delay)
+    return left(commands_of(controller, seen), controller.sample_time, controller.compute_delay)
 
 
 def test_frequencies_are_the_told_ones():
@@ -108,10 +108,7 @@ def test_without_errors_controllers_leave_what_the_other_simulation_found(contro
 def test_a_perfect_modal_regulator_leaves_no_more_than_told(sample_time, wanted):
     """Not fitted: at 8 ms the hold between samples decides, below it what converters round."""
     one = modal_regulator(modal_model(BENCH), STAGE, sample_time)
-    parts = (part[None] for part in (one.step, one.gain, one.row, one.start))
-    found = left(
-        run_regulators(*parts, SEEN[:, :: round(sample_time / STEP)]), sample_time, one.compute_delay
-    )
+    found = left_by(one)
     assert (found <= np.array(wanted) + 0.2).all()
     if sample_time == 0.008:
         np.testing.assert_allclose(found, wanted, rtol=0, atol=0.2)

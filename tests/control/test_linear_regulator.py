@@ -10,7 +10,7 @@ from scipy.signal import dlsim
 
 from wavequake.control.linear import linear_model
 from wavequake.control.linear_regulator import linear_regulator, read_controller
-from wavequake.control.regulator import run_regulators
+from wavequake.control.loop import commands_of
 from wavequake.errors import UserError
 
 RNG = np.random.default_rng(0)
@@ -48,8 +48,7 @@ CONTROLLERS = {
 def of_regulator(controller):
     found = linear_regulator(controller)
     assert np.abs(found.step).max() < 1
-    parts = (found.step, found.gain, found.row, found.start)
-    return run_regulators(*(part[None] for part in parts), READINGS[None])[0]
+    return commands_of(found, READINGS[None])[0]
 
 
 def of_scipy(controller):
@@ -155,8 +154,7 @@ def test_a_double_resonance_on_the_unit_circle_is_run_in_any_coordinates():
     for reading in measured:
         wanted.append((c @ state).item())
         state = a @ state + b[:, 0] * reading
-    modes = [part[None] for part in (made.step, made.gain, made.row)]
-    found = run_regulators(*modes, made.start[None], measured[None])[0]
+    found = commands_of(made, measured[None])[0]
     np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max())
 
 

@@ -13,7 +13,7 @@ from wavequake.control.linear import (
     simulate,
     zero_order_hold,
 )
-from wavequake.control.loop import remaining_image, run_thesis, stage_motion
+from wavequake.control.loop import commands_of, remaining_image, stage_motion
 from wavequake.control.modes import modes
 from wavequake.control.plant import swing
 from wavequake.control.stage import Stage, all_pass_inverse, stage_model
@@ -89,11 +89,8 @@ def runs(plants):
 def test_an_earlier_stage_would_leave_less_and_a_later_one_more(runs, which, left):
     """Störkle 2018, Fig. 5.31: a shift by 2 ms either way would not help there."""
     free, stages = runs[which]
-    commands = run_thesis(feed_forward(BENCH, STAGE, ahead=2), free.measured[:, ::2])
-    moved = np.stack([
-        stage_motion(stage, row[None], 0.002, 0.001, 1e-3, len(free.time))[0]
-        for stage, row in zip(stages, commands, strict=True)
-    ])  # fmt: skip
+    commands = commands_of(feed_forward(BENCH, STAGE, ahead=2), free.measured[:, ::2])
+    moved = stage_motion(stages, commands, 0.002, 0.001, 1e-3, len(free.time))
     for shift, percent in left.items():
         image = remaining_image(free.image, np.roll(moved, shift, axis=1))[:, 5:-5]
         found = np.median(np.ptp(image, axis=1) / np.ptp(free.image, axis=1))

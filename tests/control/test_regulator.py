@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from wavequake.control.bench import bench_modes, fitted_bench
-from wavequake.control.loop import late_deviation, peak_to_peak, remaining_image, stage_motion
+from wavequake.control.loop import commands_of, late_deviation, peak_to_peak, remaining_image, stage_motion
 from wavequake.control.plant import swing
 from wavequake.control.regulator import (
     first_steps,
     modal_model,
     modal_regulator,
-    run_regulators,
+    side_by_side,
     stage_gain,
 )
+from wavequake.control.sampled.regulator import answer
 from wavequake.control.stage import Stage
 from wavequake.errors import UserError
 
@@ -69,9 +70,7 @@ def test_image_stands_still_if_the_model_is_perfect(sample_time, limit):
     runs = swing([BENCH], np.ones(1), duration=4.0)
     regulator = modal_regulator(modal_model(BENCH), Stage(), sample_time)
     measured = runs.measured[:, :: round(sample_time / 1e-3)]
-    commands = run_regulators(
-        regulator.step[None], regulator.gain[None], regulator.row[None], regulator.start[None], measured
-    )
+    commands = commands_of(regulator, measured)
     stage = stage_motion(Stage(), commands, sample_time, regulator.compute_delay, 1e-3, runs.image.shape[1])
     left = remaining_image(runs.image, stage)
     assert 100 * peak_to_peak(left)[0] < limit * peak_to_peak(runs.image)[0]
@@ -80,12 +79,12 @@ def test_image_stands_still_if_the_model_is_perfect(sample_time, limit):
 
 def test_rows_of_a_batch_are_independent():
     regulator = modal_regulator(modal_model(BENCH), Stage())
-    parts = [
-        np.stack([part] * 3) for part in (regulator.step, regulator.gain, regulator.row, regulator.start)
-    ]
+    other = modal_regulator(modal_model(BENCH), Stage(), process_noise=0.01)
     measured = np.random.default_rng(1).normal(size=(3, 40)) * 1e-3
-    together = run_regulators(*parts, measured)
-    np.testing.assert_array_equal(run_regulators(*(p[:1] for p in parts), measured[1:2])[0], together[1])
+    together = answer(side_by_side([regulator, other, regulator]), measured.T[:, None])[:, 0].T
+    np.testing.assert_array_equal(commands_of(other, measured[1:2])[0], together[1])
+    np.testing.assert_array_equal(commands_of(regulator, measured)[::2], together[::2])
+    assert np.abs(commands_of(regulator, measured)[1] - together[1]).max() > 1e-6
 
 
 def test_observer_forgets_a_wrong_start():

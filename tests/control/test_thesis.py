@@ -8,7 +8,8 @@ from scipy.linalg import expm, solve_continuous_are
 
 from wavequake.control.bench import bench_model, fitted_bench
 from wavequake.control.hammer import HAMMER, impulse
-from wavequake.control.loop import run_thesis, stage_motion
+from wavequake.control.loop import commands_of, stage_motion
+from wavequake.control.sensor import quantized_command
 from wavequake.control.stage import Stage
 from wavequake.control.thesis import feed_forward, future_integration, kalman_filter
 from wavequake.errors import UserError
@@ -65,7 +66,7 @@ def test_a_hidden_mode_is_named():
 def test_running_many_is_running_each():
     controller = feed_forward(BENCH, Stage())
     measured = np.random.default_rng(2).normal(size=(4, 50)) * 1e-3
-    together = run_thesis(controller, measured)
+    together = commands_of(controller, measured)
     state, alone = np.zeros(len(controller.a)), []
     handed = impulse(HAMMER, 0.002 * np.arange(51))  # until each step
     for k in range(50):
@@ -73,23 +74,34 @@ def test_running_many_is_running_each():
         alone.append(controller.c @ state + controller.d @ v)
         state = controller.a @ state + controller.b @ v
     np.testing.assert_allclose(together[2], alone, rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(run_thesis(controller, measured[1:3])[1], together[2])
+    turned = commands_of(controller, np.roll(measured, 1, axis=0))
+    np.testing.assert_array_equal(turned[3], together[2])
 
 
-def test_stage_follows_a_step_as_its_partial_fractions():
-    """Step response gain (1 + Σ r_j e^{p_j t}), delayed; zero at rest."""
-    stage = Stage()
-    commands = np.full((1, 60), 8e-3)
-    found = stage_motion(stage, commands, 0.002, 0.001, 1e-3, 100)[0]
-    poles = np.array(stage.poles)
-    s = [np.prod([1 - p / z for z in stage.zeros]) for p in poles]
-    residues = [
-        top / np.prod([1 - p / other for other in poles if other != p])
-        for top, p in zip(s, poles, strict=True)
-    ]
-    time = 1e-3 * np.arange(100) - 0.001
-    exact = 1 + sum(-r * np.exp(p * time) for r, p in zip(residues, poles, strict=True))
-    np.testing.assert_allclose(found[2:], 8e-3 * 0.97 * exact.real[2:], rtol=0, atol=1e-9)
-    assert found[0] == 0.0
-    with pytest.raises(UserError, match=r"0\.25 ms is no multiple"):
-        stage_motion(stage, commands, 0.002, 0.00025, 1e-3, 100)
+@pytest.mark.parametrize(("delay", "before"), [(0.001, 1), (0.00025, 1), (0.0053, 6)])
+def test_stages_follow_held_commands_as_their_partial_fractions(delay, before):
+    """Of each stage of a batch: states of its poles, in extended precision; zero at rest."""
+    stages = [Stage(), Stage(poles=(-300.0, -400 + 250j, -400 - 250j), gain=1.02)]
+    commands = 1e-3 * np.cumsum(np.random.default_rng(4).normal(size=(2, 300)), axis=1) / 5
+    found = stage_motion(stages, commands, 0.002, delay, 1e-3, 500)
+    assert not found[:, :before].any()
+    late, gone = int(delay // 0.001), np.longdouble(delay) % np.longdouble(0.001)
+    for stage, given, moved in zip(stages, quantized_command(commands), found, strict=True):
+        poles = np.array(stage.poles, np.clongdouble)
+        zeros = np.array(stage.zeros, np.clongdouble)
+        through = (stage.gain * np.prod(poles) / np.prod(zeros)).real
+        residues = np.array(
+            [-p * stage.gain * np.prod(1 - p / zeros) / np.prod(1 - p / poles[poles != p]) for p in poles]
+        )
+        state, acting = np.zeros(3, np.clongdouble), np.longdouble(0)
+        for k in range(500):
+            # Between instants k - 1 and k a command acts `gone` s after the first, where one does.
+            since = k - 1 - late
+            for span in (gone, np.longdouble(0.001) - gone):
+                state = np.exp(poles * span) * state + (np.exp(poles * span) - 1) / poles * acting
+                if span is gone and since >= 0 and since % 2 == 0:
+                    acting = np.longdouble(given[since // 2])
+            if not gone and k >= late and (k - late) % 2 == 0:
+                acting = np.longdouble(given[(k - late) // 2])
+            exact = (residues * state).sum().real + through * acting
+            assert abs(moved[k] - exact) < 1e-13 * np.ptp(given), k

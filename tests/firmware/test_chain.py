@@ -46,8 +46,8 @@ def test_two_boards_in_a_row_steady_the_image(tmp_path):
     assert np.abs(np.array(read) - true).max() < 5
     assert np.ptp(read) > 200
     moved = stage_motion(
-        STAGE, positions_of(np.array(commands), CHAIN.reach), 0.002, 0.0002, 1e-3, len(free.time)
-    )
+        STAGE, positions_of(np.array([commands]), CHAIN.reach), 0.002, 0.0002, 1e-3, len(free.time)
+    )[0]
     left = remaining_image(free.image[0], moved)
     assert peak_to_peak(left) < 0.05 * peak_to_peak(free.image[0])
     assert late_deviation(left, free.time) < 0.05 * late_deviation(free.image[0], free.time)

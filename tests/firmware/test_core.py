@@ -16,7 +16,7 @@ from wavequake.control.bench import fitted_bench
 from wavequake.control.experiment import Settings, design
 from wavequake.control.linear import linear_model
 from wavequake.control.linear_regulator import linear_regulator
-from wavequake.control.regulator import run_regulators
+from wavequake.control.loop import commands_of
 from wavequake.control.sensor import SensorChain, dac_codes
 from wavequake.control.stage import Stage
 from wavequake.firmware.build import BOARDS, build, compiler_of
@@ -73,8 +73,8 @@ def rounded(variant):
 
 def reference(adc, variant):
     measured = adc * (2 * CHAIN.reach / 4095) - CHAIN.reach
-    parts = (*rounded(variant), REGULATOR.start)
-    return run_regulators(*(part[None] for part in parts), measured[None])[0]
+    step, gain, row = rounded(variant)
+    return commands_of(replace(REGULATOR, step=step, gain=gain, row=row), measured[None])[0]
 
 
 @pytest.mark.parametrize(("variant", "beyond"), [("float", 0.05e-6), ("q31", 0.05e-6), ("q16", 0.5e-6)])

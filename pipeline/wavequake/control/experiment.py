@@ -13,22 +13,18 @@ from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench, bench_mod
 from wavequake.control.camera import Camera, CameraError, calibrate, camera_error, camera_reading
 from wavequake.control.identification import Identified, Record, identify
 from wavequake.control.linear import Array
-from wavequake.control.loop import (
-    late_deviation,
-    peak_to_peak,
-    remaining_image,
-    run_thesis,
-    stage_motion,
-)
+from wavequake.control.loop import Follower, follow, late_deviation, peak_to_peak, remaining_image
 from wavequake.control.plant import FreeRuns, swing
 from wavequake.control.regulator import (
     ModalModel,
     ModalRegulator,
     modal_model,
     modal_regulator,
-    run_regulators,
+    side_by_side,
 )
-from wavequake.control.sensor import SensorChain, positions, quantized_command, read_codes, read_positions
+from wavequake.control.sampled.channel import Timing
+from wavequake.control.sampled.regulator import Regulator, Stepped, played
+from wavequake.control.sensor import SensorChain, positions, read_codes, read_positions
 from wavequake.control.stage import Stage
 from wavequake.control.thesis import SampledController, feed_forward, future_integration
 
@@ -36,9 +32,9 @@ CONTROLLERS = ("uncontrolled", "FF", "FI", "FF+FI", "modal", "identified")
 
 # Runs a regulator in a control unit's firmware: codes of its converter (k,) to commands (k,) in m.
 ControlUnit = Callable[[ModalRegulator, NDArray[np.int64]], Array]
-# Runs a controller on the free run of one of some plants: its place, itself, the runs of all of them, to
-# command and position of the stage (k,), m, at the plant's instants.
-Beside = Callable[[int, "Plant", FreeRuns], tuple[Array, Array]]
+# Runs a controller on free runs of plants: to command and position of each stage (c, k), m, so many seconds
+# apart.
+Beside = Callable[[Sequence["Plant"], FreeRuns, float], tuple[Array, Array]]
 
 # Width of the arrays in which benches swing beside each other: constant, so that bits depend on nothing else.
 TILE = 16
@@ -286,20 +282,41 @@ def run_plants(
     )
     codes = read_codes(chain, second.measured, phases, noise[:, 1])
     measured = positions(chain, codes)
-    tuned = tuple(tuned_regulator(designs, one) for one in found)
-    commands: list[tuple[Array, SampledController | ModalRegulator]] = [
-        (run_thesis(one, measured[:, :: _every(one.sample_time)]), one) for one in designs.thesis
+    tuned = [tuned_regulator(designs, one) for one in found]
+    tuned = [*tuned, *[tuned[-1]] * (TILE - width)]
+    chosen = tuned if unit_design == "identified" else [designs.regulator] * TILE
+    sampled = codes[:width, :: _every(designs.settings.modal_step)]
+    given = [[unit(*one) for one in zip(chosen, sampled, strict=False)] for unit in units]
+    own: tuple[SampledController | ModalRegulator, ...] = (*designs.thesis, designs.regulator)
+    followers = [
+        *(_follower(one, one.given, measured) for one in own),
+        _follower(designs.regulator, side_by_side(tuned), measured),
+        *(_follower(designs.regulator, _recorded(each), measured) for each in given),
     ]
-    modal = measured[:, :: _every(designs.settings.modal_step)]
-    commands.append((_modal_commands([designs.regulator] * TILE, modal), designs.regulator))
-    commands.append((_modal_commands([*tuned, *[tuned[-1]] * (TILE - width)], modal), tuned[0]))
-    chosen = tuned if unit_design == "identified" else (designs.regulator,) * width
-    sampled = codes[:, :: _every(designs.settings.modal_step)]
-    for unit in units:
-        given = np.stack([unit(one, row) for one, row in zip(chosen, sampled[:width], strict=True)])
-        commands.append((given, designs.regulator))
-    others = [[one(row, plant, second) for row, plant in enumerate(plants)] for one in beside]
-    return _gathered(plants, second, measured, commands, others, output_step, found, chosen)
+    every = _every(output_step)
+    stages, kept = [plant.stage for plant in padded], slice(None, None, every)
+    count = len(second.time[kept])
+    still = np.zeros((TILE, count))
+    moved = [(still, still), *(follow(one, stages, every * PLANT_STEP, count) for one in followers)]
+    moved += [one(padded, second, every * PLANT_STEP) for one in beside]
+    command, stage = (np.stack([one[side][:width] for one in moved], axis=1) for side in (0, 1))
+    return Runs(
+        second.time[kept], remaining_image(second.image[:width, None, kept], stage), command, stage,
+        second.measured[:width, kept], measured[:width, kept], found, tuple(chosen[:width]),
+    )  # fmt: skip
+
+
+def _follower(
+    one: SampledController | ModalRegulator, given: Regulator | Stepped, measured: Array
+) -> Follower:
+    """Return what runs with a controller's timing; it reads at the trigger for the first time."""
+    timing = Timing(one.sample_time, one.sample_time, 1, one.compute_delay)
+    return Follower(one.name, given, timing, one.readings(measured[:, :: _every(one.sample_time)]))
+
+
+def _recorded(commands: Sequence[Array]) -> Stepped:
+    """Return what plays the commands (k,) that units gave, and the last ones on the rest of a tile."""
+    return played(np.stack([*commands, *[commands[-1]] * (TILE - len(commands))], axis=-1)[:, None])
 
 
 def _hit(
@@ -346,50 +363,6 @@ def _identified(
     seen = camera_reading(camera, image, plant.frame_noise[: len(image)])
     record = Record(runs.time[::every], lens, runs.time[::frames], seen)
     return identify(record, designs.model)
-
-
-def _modal_commands(regulators: Sequence[ModalRegulator], measured: Array) -> Array:
-    return run_regulators(
-        np.stack([one.step for one in regulators]),
-        np.stack([one.gain for one in regulators]),
-        np.stack([one.row for one in regulators]),
-        np.stack([one.start for one in regulators]),
-        measured,
-    )
-
-
-def _gathered(
-    plants: Sequence[Plant],
-    runs: FreeRuns,
-    measured: Array,
-    commands: Sequence[tuple[Array, SampledController | ModalRegulator]],
-    others: Sequence[Sequence[tuple[Array, Array]]],
-    output_step: float,
-    found: tuple[Identified, ...],
-    regulators: tuple[ModalRegulator, ...],
-) -> Runs:
-    """Move the stage by the commands, and keep what is stored."""
-    width, every = len(plants), _every(output_step)
-    count = runs.image.shape[1]
-    held = np.zeros((width, 1 + len(commands) + len(others), count))
-    stage = np.zeros_like(held)
-    for place, (given, one) in enumerate(commands, start=1):
-        held[:, place] = np.repeat(quantized_command(given[:width]), _every(one.sample_time), axis=1)[
-            :, :count
-        ]
-        for row, plant in enumerate(plants):
-            stage[row, place] = stage_motion(
-                plant.stage, given[row], one.sample_time, one.compute_delay, PLANT_STEP, count
-            )
-    for place, each in enumerate(others, start=1 + len(commands)):
-        for row, (command, position) in enumerate(each):
-            held[row, place], stage[row, place] = command, position
-    image = remaining_image(runs.image[:width, None], stage)
-    kept = slice(None, None, every)
-    return Runs(
-        runs.time[kept], image[..., kept], held[..., kept], stage[..., kept],
-        runs.measured[:width, kept], measured[:width, kept], found, regulators,
-    )  # fmt: skip
 
 
 def residuals(runs: Runs) -> tuple[Array, Array]:

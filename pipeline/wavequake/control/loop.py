@@ -1,71 +1,134 @@
 """Controllers on free runs: commands, motion of the stage, image that is left (Störkle 2018, Eq. 5.5).
 
 The stage carries lens 5 alone and does not shake the chain, which swings the same under all controllers.
+They run as any other loop does, on a batch of benches whose stages differ.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
-import scipy
 
 from wavequake.control.bench import COMPENSATOR, SENSITIVITIES
-from wavequake.control.hammer import HAMMER, Hammer, step_means
-from wavequake.control.linear import Array, zero_order_hold
+from wavequake.control.linear import Array
+from wavequake.control.regulator import ModalRegulator
+from wavequake.control.sampled.channel import Dynamics, Timing
+from wavequake.control.sampled.regulator import Regulator, Stepped, advance, answer, played, start
+from wavequake.control.sampled.run import Actuator, Eye, Loop, Schedule, run, schedule
 from wavequake.control.sensor import quantized_command
 from wavequake.control.stage import Stage, stage_model
 from wavequake.control.thesis import SampledController
 from wavequake.errors import UserError
-
-# The stage is followed on this grid; delays of the control unit are multiples of it.
-FINE_STEP = 1e-4
+from wavequake.prepared import prepared
 
 
-def run_thesis(controller: SampledController, measured: Array, hammer: Hammer = HAMMER) -> Array:
-    """Return commands (c, k) in m for measured positions (c, k) at the controller's instants.
+@dataclass(frozen=True)
+class Follower:
+    """A controller with all that it reads on c benches beside each other.
 
-    The trigger at the first sample tells the controller of the blow, whose course is known beforehand (Eq.
-    5.9): it takes the mean force of each step, which a held input must be for no momentum to come too early.
+    Attributes
+    ----------
+    name : str
+    given : Regulator or Stepped
+    timing : Timing
+        From a reading to the command's arrival at the stage, whose pure delay comes on top.
+    readings : ndarray, shape (frames, m, c)
+        Without what the stage does.
+    first : float
+        When the first of them is read, s; at most a frame after 0.
+    eyes : tuple of Eye
+        How readings follow the stage; none: they do not.
+    unit : float
+        Of commands, m.
     """
-    force = step_means(hammer, controller.sample_time, measured.shape[1])
-    state = np.zeros((len(controller.a), len(measured)))
-    commands = np.empty_like(measured)
-    # A product and a sum over axis 1, not a matrix product: its bits do not depend on the number of columns.
-    a, b = controller.a[:, :, None], controller.b[:, :1]
-    pushed = np.outer(force, controller.b[:, 1])
-    for k in range(measured.shape[1]):
-        y = measured[:, k]
-        commands[:, k] = (controller.c[:, None] * state).sum(axis=0) + controller.d[0] * y
-        state = (a * state).sum(axis=1) + b * y + pushed[k][:, None]
-    return np.asarray(commands + controller.d[1] * force)
+
+    name: str
+    given: Regulator | Stepped
+    timing: Timing
+    readings: Array
+    first: float = 0.0
+    eyes: tuple[Eye, ...] = ()
+    unit: float = 1.0
 
 
-def stage_motion(
-    stage: Stage, commands: Array, sample_time: float, compute_delay: float, step: float, count: int
-) -> Array:
-    """Return positions (..., count) of the stage in m, `step` s apart, for commands (..., k) in m.
+def follow(one: Follower, stages: Stage | Sequence[Stage], step: float, count: int) -> tuple[Array, Array]:
+    """Return commands, held, and positions of the stage, (c, count), in m, `step` s apart from 0 on.
+
+    The control unit's converter rounds commands. `stages` is one for all benches, or one each, with equally
+    many poles and one delay. Where a command acts just then, the position is that after it.
 
     Raises
     ------
     UserError
-        If a time is no multiple of 0.1 ms.
+        If it diverges.
     """
-    delay = compute_delay + stage.delay
-    every, late, kept = (_multiple(value) for value in (sample_time, delay, step))
-    model = zero_order_hold(stage_model(stage), FINE_STEP)
-    up, down = scipy.signal.ss2tf(model.a, model.b, model.c, model.d)
-    held = np.repeat(quantized_command(commands), every, axis=-1)
-    shape = (*held.shape[:-1], late)
-    shifted = np.concatenate([np.zeros(shape), held], axis=-1)
-    missing = (count - 1) * kept + 1 - shifted.shape[-1]
-    if missing > 0:
-        shifted = np.concatenate([shifted, np.repeat(shifted[..., -1:], missing, axis=-1)], axis=-1)
-    moved = scipy.signal.lfilter(up[0], down, shifted, axis=-1)
-    return np.asarray(moved[..., : (count - 1) * kept + 1 : kept])
+    each = [stages] if isinstance(stages, Stage) else list(stages)
+    moving = tuple(dynamics_of(stage) for stage in each)
+    plain, benches = one.timing, one.readings.shape[2]
+    timing = Timing(plain.frame, plain.integration, plain.frames, plain.latency + each[0].delay)
+    commands = list[Array]()
+    unit = _through_converter(one, benches, commands)
+    blind = Eye(np.zeros((one.readings.shape[1], 1)))
+    eye, *further = one.eyes or (blind,)
+    actuator = Actuator(
+        moving if len(moving) > 1 else moving[0], np.full(1, np.inf), np.inf, np.full(1, np.nan)
+    )
+    loop = Loop(timing, unit, actuator, eye.sees, eye.quantum, eye.sensor, further=tuple(further))
+    # Loops begin a frame before their first reading.
+    events = _events(timing, timing.frame - one.first, step, count)
+    found = run([loop], events, [one.readings], count)
+    if found.diverged.any():
+        raise UserError(f"It diverges under the controller {one.name!r}.")
+    began = one.first + (timing.frames - 1) * timing.frame
+    periods = np.floor((step * np.arange(count) - began) / timing.period + 1e-9).astype(np.int64)
+    given = np.concatenate([np.zeros((1, benches)), *commands])
+    held = given[np.clip(periods + 1, 0, len(given) - 1)].T
+    return one.unit * held, one.unit * found.positions[:, 0].T
 
 
-def _multiple(value: float) -> int:
-    whole = round(value / FINE_STEP)
-    if abs(whole * FINE_STEP - value) > 1e-9:
-        raise UserError(f"A time of {1e3 * value:g} ms is no multiple of {1e3 * FINE_STEP:g} ms.")
-    return whole
+def dynamics_of(stage: Stage) -> Dynamics:
+    """Return how a stage follows, without its pure delay."""
+    model = stage_model(stage)
+    return Dynamics(model.a, model.b[:, 0], model.c[0], float(model.d[0, 0]))
+
+
+@prepared(maxsize=16)
+def _events(timing: Timing, lead: float, step: float, count: int) -> Schedule:
+    """Return the events of a loop that begins `lead` s before it is looked at."""
+    return schedule([timing], np.asarray(lead + step * np.arange(count)), jumped=True)
+
+
+def _through_converter(one: Follower, benches: int, commands: list[Array]) -> Stepped:
+    """Return a controller whose commands (1, c) the control unit's converter puts out and a list keeps."""
+    rest = start(one.given, benches)
+
+    def function(states: Array, readings: Array) -> tuple[Array, Array]:
+        own, wanted = advance(one.given, states.reshape(rest.shape), readings)
+        put = quantized_command(one.unit * wanted) / one.unit
+        commands.append(put)
+        return own.reshape(-1, benches), put
+
+    return Stepped(rest.size // benches, function)
+
+
+def commands_of(one: SampledController | ModalRegulator, measured: Array) -> Array:
+    """Return the commands (c, k) of a controller, m, for positions (c, k) of lens 4 at its instants, m."""
+    return np.asarray(answer(one.given, one.readings(measured))[:, 0].T)
+
+
+def stage_motion(
+    stages: Stage | Sequence[Stage],
+    commands: Array,
+    sample_time: float,
+    compute_delay: float,
+    step: float,
+    count: int,
+) -> Array:
+    """Return positions (c, count) of stages in m, `step` s apart, for commands (c, k) in m, the last held."""
+    blind = np.zeros((int((count - 1) * step / sample_time) + 2, 1, len(commands)))
+    timing = Timing(sample_time, sample_time, 1, compute_delay)
+    one = Follower("recorded", played(commands.T[:, None]), timing, blind)
+    return follow(one, stages, step, count)[1]
 
 
 def remaining_image(free: Array, stage: Array) -> Array:

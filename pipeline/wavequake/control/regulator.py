@@ -6,6 +6,7 @@ the image motion ρ_j z_j of each mode exactly (an output regulator, whose Sylve
 modes): no inverse filter, no prediction step, any sample time.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from wavequake.control.bench import (
 from wavequake.control.gains import kalman_gain
 from wavequake.control.hammer import HAMMER, Hammer, hammer_force
 from wavequake.control.linear import Array
+from wavequake.control.sampled.regulator import Stepped
 from wavequake.control.stage import Stage, stage_response
 from wavequake.errors import UserError
 
@@ -80,6 +82,15 @@ class ModalRegulator:
     gain: Complex
     row: Complex
     start: Complex
+
+    @property
+    def given(self) -> Stepped:
+        """It as a loop runs it, on every case."""
+        return side_by_side([self])
+
+    def readings(self, measured: Array) -> Array:
+        """Return what it reads, (k, 1, c), for positions (c, k) of lens 4 from the trigger on, m."""
+        return measured.T[:, None]
 
 
 def modal_model(bench: Bench, hammer: Hammer = HAMMER) -> ModalModel:
@@ -206,18 +217,27 @@ def first_steps(model: ModalModel, sample_time: float, hammer: Hammer = HAMMER, 
     return start
 
 
-def run_regulators(step: Complex, gain: Complex, row: Complex, start: Complex, measured: Array) -> Array:
-    """Run n regulators of m modes beside each other: commands (n, k) for measured positions (n, k), in m.
+def side_by_side(regulators: Sequence[ModalRegulator]) -> Stepped:
+    """Return regulators as loops run them, each on a case or one on all: of readings (1, c) in m.
 
-    `step`, `gain` and `row` have shape (n, m), `start` (n, s, m), s steps from the trigger at the first
-    sample on. Sums run over modes alone, so that a row does not depend on its neighbors.
+    The first reading is that of the trigger. Regulators have equally many modes and steps of the blow. Sums
+    run over modes alone, so that a case does not depend on its neighbors.
     """
-    state = np.zeros_like(step)
-    commands = np.empty_like(measured)
-    for k in range(measured.shape[1]):
-        if k < start.shape[1]:
-            state = state + start[:, k]
-        state = state + gain * (measured[:, k] - state.real.sum(axis=1))[:, None]
-        commands[:, k] = (row * state).real.sum(axis=1)
-        state = state * step
-    return commands
+    step, gain, row, begun = (
+        np.stack([getattr(one, name) for one in regulators], axis=-2)
+        for name in ("step", "gain", "row", "start")
+    )
+    count = step.shape[1]
+
+    def function(states: Array, readings: Array) -> tuple[Array, Array]:
+        # Modes (c, m) of real and imaginary parts, and how many steps ago the trigger was.
+        real, imaginary = (np.ascontiguousarray(part.T) for part in (states[:count], states[count:-1]))
+        z, k = real + 1j * imaginary, int(states[-1, 0])
+        if k < len(begun):
+            z = z + begun[k]
+        z = z + gain * (readings[0] - z.real.sum(axis=1))[:, None]
+        command = (row * z).real.sum(axis=1)
+        z = z * step
+        return np.vstack([z.real.T, z.imag.T, states[-1:] + 1.0]), command[None]
+
+    return Stepped(2 * count + 1, function)

@@ -10,6 +10,7 @@ import numpy as np
 
 from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench, bench_model
 from wavequake.control.gains import kalman_bucy_gain
+from wavequake.control.hammer import HAMMER, Hammer, step_means
 from wavequake.control.linear import (
     Array,
     LinearModel,
@@ -20,6 +21,7 @@ from wavequake.control.linear import (
     zero_order_hold,
 )
 from wavequake.control.modes import check_observable
+from wavequake.control.sampled.regulator import Regulator, whole
 from wavequake.control.stage import Stage, all_pass_inverse
 from wavequake.errors import UserError
 
@@ -49,6 +51,20 @@ class SampledController:
     b: Array
     c: Array
     d: Array
+
+    @property
+    def given(self) -> Regulator:
+        """It as a loop runs it."""
+        return whole(LinearModel(self.a, self.b, self.c[None], self.d[None], self.sample_time))
+
+    def readings(self, measured: Array, hammer: Hammer = HAMMER) -> Array:
+        """Return what it reads, (k, 2, c), for positions (c, k) of lens 4 at its instants, m.
+
+        The trigger at the first of them tells it of the blow, whose course is known beforehand (Eq. 5.9): it
+        takes the mean force of each step, which a held input must be for no momentum to come too early.
+        """
+        force = step_means(hammer, self.sample_time, measured.shape[1])
+        return np.stack([measured.T, np.broadcast_to(force[:, None], measured.T.shape)], axis=1)
 
 
 @dataclass(frozen=True)

@@ -116,8 +116,8 @@ def residual(device: Device, hit: Blow, stage: Stage, regulator: ModalRegulator,
     device.reset()
     commands = positions_of(device.run(hit.adc, hit.trigger), reach)
     moved = stage_motion(
-        stage, commands, regulator.sample_time, regulator.compute_delay, PLANT_STEP, len(hit.time)
-    )
+        stage, commands[None], regulator.sample_time, regulator.compute_delay, PLANT_STEP, len(hit.time)
+    )[0]
     left = remaining_image(hit.image, moved)
     return Residual(
         float(100 * peak_to_peak(left) / peak_to_peak(hit.image)),

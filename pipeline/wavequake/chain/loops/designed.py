@@ -138,6 +138,11 @@ def asked_of(study: LoopBlocks, optics: Sighted, one: Controller) -> Design:
     )
 
 
+def designs_of(study: LoopBlocks, optics: Sighted) -> dict[str, Given]:
+    """Return what all controllers of a study came to, by name; see `designed`."""
+    return {one.name: designed(study, optics, one) for one in study.controller}
+
+
 def design_notices(study: LoopBlocks, optics: Sighted) -> Iterator[str]:
     """Yield what controllers leave out in their designs."""
     for one in study.controller:
@@ -190,3 +195,17 @@ def assembled(
         )
     schedules = tuple(schedule([loop.timing for loop in loops], one_look) for one_look in looks)
     return Designed(one.name, actuators, answers, sight, tuple(loops), tuple(readings), None, schedules)
+
+
+def readings_of(
+    study: LoopBlocks, light: Light, one: Designed, time: Array, seen: Array, seed: int, case: int
+) -> list[Array]:
+    """Return the readings (frames, m) of each loop's sensors of a disturbance, with their noise.
+
+    The arguments after the controller are those of `wavequake.chain.loops.closing.readings`.
+    """
+    running = study.running(study.part("controller", one.name))
+    return [
+        closing.readings(time, seen, loop.timing, study.sensors(each), matrices, light, seed, case)
+        for each, loop, matrices in zip(running, one.loops, one.readings, strict=True)
+    ]

@@ -1,6 +1,6 @@
 """Which loops of a study cannot run: unstable ones, alone or beside each other, and saturated ones."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +9,62 @@ from wavequake.chain.loops.answers import answering, drives_of, dynamics_of, nam
 from wavequake.chain.loops.block import stuck_of
 from wavequake.chain.loops.blocks import LoopBlocks
 from wavequake.chain.loops.closing import Given, grows
-from wavequake.chain.loops.designed import Designed, Sighted, timing_of
+from wavequake.chain.loops.designed import Designed, Sighted, assembled, designs_of, timing_of
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import in_series
 from wavequake.control.sampled.regulator import Regulator
 from wavequake.control.sampled.run import frame_count, run, schedule
 from wavequake.control.sampled.stability import SampledLoop, Sight, Worst, worst_pole
 from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.population import Population
 
 # Motions that are seen less than this share of others ask for nothing.
 _SEEN = 1e-6
 # Periods of the slowest loop for which loops beside each other are watched after a kick.
 _KICKED = 400
+
+
+def judged_loops(
+    study: LoopBlocks,
+    called: str,
+    optics: Sighted,
+    populations: Sequence[Population],
+    looks: Sequence[Array],
+    seen: Callable[[int], Array],
+) -> tuple[tuple[Designed, ...], dict[str, SampledLoop]]:
+    """Return the controllers of a study as they run, and the loops of linear ones, each alone, by name.
+
+    Parameters
+    ----------
+    study : LoopBlocks
+    called : str
+        What the study is called.
+    optics : Sighted
+    populations : sequence of Population
+    looks : sequence of ndarray
+        Of each of them that has cases, see `wavequake.chain.loops.designed.assembled`.
+    seen : callable
+        Of a disturbance's place: what is seen (n, K) of its first case.
+
+    Raises
+    ------
+    UserError
+        If a sensor reads what is not there, a controller cannot be designed, its loop is unstable, alone or
+        beside others, or a stroke is too short; names the block.
+    """
+    for sensor in study.sensor:
+        sensor.labels(optics.light)  # what those cannot read that no controller uses, too
+    designs = designs_of(study, optics)
+    linear = sampled_loops(study, optics, designs)
+    for name, loop in linear.items():
+        refuse_unstable(study, called, name, loop, optics)
+    controllers = tuple(assembled(study, optics, one, designs, looks) for one in study.controller)
+    for one in controllers:
+        refuse_unstable_together(study, one)
+    if any(one.stroke is not None for one in study.actuator):
+        first = {entry.name: seen(index) for index, entry in enumerate(populations) if entry.share}
+        refuse_saturated(study, optics, first)
+    return controllers, linear
 
 
 def sampled_loops(study: LoopBlocks, optics: Sighted, designs: Mapping[str, Given]) -> dict[str, SampledLoop]:

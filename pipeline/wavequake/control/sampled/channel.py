@@ -98,7 +98,7 @@ class Step:
     phi: Array
     gamma: Array
     row: Array
-    through: float
+    through: float | Array
 
 
 def step_over(dynamics: Dynamics, seconds: float) -> Step:

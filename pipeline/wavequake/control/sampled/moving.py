@@ -1,6 +1,7 @@
 """What moves between events, as one sensor sees it: channels of an actuator, and modes that answer them.
 
 Nothing is stepped before someone asks: where only commands of others come, one exact step leads over them.
+Cases of a batch share an actuator's dynamics, or each has its own: matrices then have a first axis of cases.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +22,10 @@ class Channels:
 
     Attributes
     ----------
-    actuator, sensor : Dynamics
+    rows, through : ndarray, shapes (n,) or (cases, n), () or (cases,)
+        Positions per state, and per command.
+    static : float
+        What the sensor makes of a constant 1.
     stuck : ndarray, shape (p, 1)
         Where channels are stuck; NaN for those that move.
     integration : float
@@ -33,8 +37,9 @@ class Channels:
         Since the last step, s.
     """
 
-    actuator: Dynamics
-    sensor: Dynamics
+    rows: Array
+    through: Array
+    static: float
     stuck: Array
     integration: float
     steps: Callable[[float], Step]
@@ -49,10 +54,10 @@ class Channels:
             return
         step, self.elapsed = self.steps(self.elapsed), 0.0
         self.integral += step.through * self.held
-        if len(step.gamma):
-            flat = self.states.reshape(len(self.states), -1)
-            self.integral += (step.row @ flat).reshape(self.held.shape)
-            self.states = (step.phi @ flat).reshape(self.states.shape) + step.gamma[:, None, None] * self.held
+        if len(self.states):
+            self.integral += _seen(step.row, self.states)
+            driven = step.gamma.T[:, None] if step.gamma.ndim > 1 else step.gamma[:, None, None]
+            self.states = _led(step.phi, self.states) + driven * self.held
 
     def hold(self, command: Array) -> None:
         """Hold a command (p, cases) from now on."""
@@ -62,14 +67,13 @@ class Channels:
     def position(self) -> Array:
         """Return where the channels are, (p, cases)."""
         self.catch_up()
-        found = np.tensordot(self.actuator.c, self.states[: len(self.actuator)], 1)
-        found = found + self.actuator.d * self.held
+        found = _seen(self.rows, self.states[: self.rows.shape[-1]]) + self.through * self.held
         return np.asarray(np.where(np.isnan(self.stuck), found, self.stuck))
 
     def mean(self) -> Array:
         """Return what is read of the channels, on average since the sensor opened, and open it again."""
         found = self.open() / self.integration
-        return np.asarray(np.where(np.isnan(self.stuck), found, self.sensor.static_gain * self.stuck))
+        return np.asarray(np.where(np.isnan(self.stuck), found, self.static * self.stuck))
 
     def open(self) -> Array:
         """Begin an average; returns the integral until now."""
@@ -122,18 +126,49 @@ class Modes:
         return found
 
 
+def _led(phi: Array, states: Array) -> Array:
+    """Return states (n, p, cases) a step later."""
+    if phi.ndim > 2:
+        return np.asarray(np.einsum("kij,jpk->ipk", phi, states))
+    return np.asarray((phi @ states.reshape(len(states), -1)).reshape(states.shape))
+
+
+def _seen(row: Array, states: Array) -> Array:
+    """Return what a row makes of states (n, p, cases), (p, cases)."""
+    if row.ndim > 1:
+        return np.asarray(np.einsum("kj,jpk->pk", row, states))
+    if not len(row):
+        return np.zeros(states.shape[1:])
+    return np.asarray((row @ states.reshape(len(states), -1)).reshape(states.shape[1:]))
+
+
 def channels(
-    actuator: Dynamics, stuck: Array, sensor: Dynamics, integration: float, same: float, cases: int
+    actuator: Dynamics | tuple[Dynamics, ...],
+    stuck: Array,
+    sensor: Dynamics,
+    integration: float,
+    same: float,
+    cases: int,
 ) -> Channels:
     """Return p channels at rest; lengths of steps that differ by less than `same` s are one."""
-    together, p = in_series(actuator, sensor), len(stuck)
+    p = len(stuck)
+    if isinstance(actuator, Dynamics):
+        together = in_series(actuator, sensor)
+        rows, through, states = actuator.c, np.asarray(actuator.d), len(together)
+        steps = _kept(lambda seconds: step_over(together, seconds), same)
+    else:
+        each = [in_series(one, sensor) for one in actuator]
+        rows, through = np.stack([one.c for one in actuator]), np.array([one.d for one in actuator])
+        states = len(each[0])
+        steps = _kept(lambda seconds: _stacked([step_over(one, seconds) for one in each]), same)
     return Channels(
-        actuator,
-        sensor,
+        rows,
+        through,
+        sensor.static_gain,
         stuck[:, None],
         integration,
-        _kept(lambda seconds: step_over(together, seconds), same),
-        np.zeros((len(together), p, cases)),
+        steps,
+        np.zeros((states, p, cases)),
         np.zeros((p, cases)),
         np.zeros((p, cases)),
     )
@@ -153,10 +188,8 @@ def answering(
     read = [in_series(one, sensor) for one in own]
 
     def steps(seconds: float) -> tuple[Array, ...]:
-        each = [step_over(one, seconds) for one in read]
-        return tuple(
-            np.array([getattr(one, name) for one in each]) for name in ("phi", "gamma", "row", "through")
-        )
+        one = _stacked([step_over(one, seconds) for one in read])
+        return one.phi, one.gamma, one.row, np.asarray(one.through)
 
     k = len(structure)
     return Modes(
@@ -169,6 +202,14 @@ def answering(
         np.zeros((k, cases)),
         np.zeros((k, cases)),
     )
+
+
+def _stacked(each: Sequence[Step]) -> Step:
+    """Return steps as one, with a leading axis."""
+    phi, gamma, row, through = (
+        np.array([getattr(one, name) for one in each]) for name in ("phi", "gamma", "row", "through")
+    )
+    return Step(phi, gamma, row, through)
 
 
 def _kept(make: Callable[[float], Made], same: float) -> Callable[[float], Made]:

@@ -87,6 +87,24 @@ def advance(regulator: Regulator | Stepped, states: Array, readings: Array) -> t
     return np.matmul(regulator.a, states) + np.matmul(regulator.b, z), commands.reshape(-1, cases)
 
 
+def answer(regulator: Regulator | Stepped, readings: Array) -> Array:
+    """Return the commands (k, p, cases) to readings (k, m, cases) that nothing feeds back, from rest."""
+    states, commands = start(regulator, readings.shape[2]), []
+    for reading in readings:
+        states, given = advance(regulator, states, reading)
+        commands.append(given)
+    return np.array(commands)
+
+
+def played(commands: Array) -> Stepped:
+    """Return what gives commands (k, p, cases) one after the other, whatever it reads, and holds the last."""
+
+    def function(states: Array, readings: Array) -> tuple[Array, Array]:
+        return states + 1.0, commands[min(int(states[0, 0]), len(commands) - 1)]
+
+    return Stepped(1, function)
+
+
 def shape_of(found: Regulator | Stepped | Instant, readings: int) -> tuple[int, int]:
     """Return the numbers of commands and of readings of a controller; a function is tried with so many."""
     if isinstance(found, Stepped):

@@ -27,8 +27,8 @@ class Actuator:
 
     Attributes
     ----------
-    dynamics : Dynamics
-        Of every channel.
+    dynamics : Dynamics or tuple of Dynamics
+        Of every channel; one for each case where cases differ in it.
     stroke : ndarray, shape (p,)
         Largest command; inf where there is no limit.
     slew : float
@@ -37,7 +37,7 @@ class Actuator:
         Where channels are stuck; NaN for those that move.
     """
 
-    dynamics: Dynamics
+    dynamics: Dynamics | tuple[Dynamics, ...]
     stroke: Array
     slew: float
     stuck: Array
@@ -138,8 +138,11 @@ def frame_count(timing: Timing, duration: float) -> int:
     return int(np.floor(duration / timing.frame + SAME))
 
 
-def schedule(timings: Sequence[Timing], looks: Array) -> Schedule:
-    """Return the events of loops from 0 to the last of the rising instants that are looked at, s."""
+def schedule(timings: Sequence[Timing], looks: Array, jumped: bool = False) -> Schedule:
+    """Return the events of loops from 0 to the last of the rising instants that are looked at, s.
+
+    Looks come before what acts at the same instant, a limit from the left, or after it if `jumped`.
+    """
     duration = float(looks[-1])
     queue: list[tuple[float, int, int]] = [(float(at), LOOK, 0) for at in looks]
     for index, timing in enumerate(timings):
@@ -163,8 +166,8 @@ def schedule(timings: Sequence[Timing], looks: Array) -> Schedule:
         length = at - now
         key = round(length / same)
         place = -1 if key == 0 else lengths.setdefault(key, (len(lengths), length))[0]
-        # Looks come before what acts at the same instant: a limit from the left.
-        for one, (kind, loop) in enumerate(sorted(together, key=lambda event: (event[0] == ACT, event))):
+        last = LOOK if jumped else ACT
+        for one, (kind, loop) in enumerate(sorted(together, key=lambda event: (event[0] == last, event))):
             steps.append(place if one == 0 else -1)
             kinds.append(kind)
             loops.append(loop)
@@ -207,6 +210,7 @@ def run(
     watched = [(eye, owner.timing.integration) for eye, owner in zip(eyes, owners, strict=True)]
     moving = [[_channels(one, *each, same, cases) for one in loops] for each in watched]
     answers = [[_modes(structure, one, *each, same, cases) for one in loops if structure] for each in watched]
+    sighted = [beyond is not None or bool(eye.sees.any()) for eye in eyes]
     starts = np.cumsum([0, *(len(loop.eyes) for loop in loops)])
     controlled = [_at_rest(loop, cases) for loop in loops]
     everything = [one for row in moving for one in row], [one for row in answers for one in row]
@@ -235,6 +239,8 @@ def run(
             elif kind == READ:
                 means = [
                     _joined([one.mean() for one in moving[place]], [one.mean() for one in answers[place]])
+                    if sighted[place]
+                    else np.zeros((count, cases))
                     for place in places
                 ]
                 given = seen[index][mine.frame]
@@ -279,8 +285,9 @@ def _channels(loop: Loop, eye: Eye, integration: float, same: float, cases: int)
 def _modes(
     structure: Sequence[Dynamics], loop: Loop, eye: Eye, integration: float, same: float, cases: int
 ) -> Modes:
-    assert loop.drives is not None
     own = loop.actuator.dynamics
+    assert loop.drives is not None
+    assert isinstance(own, Dynamics)
     return answering(structure, loop.drives, own, eye.sensor, integration, same, cases)
 
 

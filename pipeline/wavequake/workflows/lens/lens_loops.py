@@ -18,14 +18,14 @@ from wavequake.control.bench import COMPENSATOR, LENSES, SENSITIVITIES, Bench, b
 from wavequake.control.experiment import PLANT_STEP, Beside, Plant
 from wavequake.control.hammer import HAMMER
 from wavequake.control.linear import Array
+from wavequake.control.loop import Follower, dynamics_of, follow
 from wavequake.control.plant import FreeRuns
 from wavequake.control.regulator import blow_spectrum
-from wavequake.control.sampled.channel import Dynamics, Timing, in_series
-from wavequake.control.sampled.regulator import Instant, Regulator, Stepped, advance, start
-from wavequake.control.sampled.run import Actuator, Eye, Loop, Schedule, run, schedule
+from wavequake.control.sampled.channel import Timing, in_series
+from wavequake.control.sampled.regulator import Instant, Regulator
+from wavequake.control.sampled.run import Eye
 from wavequake.control.sampled.stability import SampledLoop, Sight, worst_pole
-from wavequake.control.sensor import quantized_command
-from wavequake.control.stage import Stage, stage_model
+from wavequake.control.stage import Stage
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.prepared import prepared
@@ -68,12 +68,6 @@ def _modes(bench: Bench) -> tuple[Shaken, Array]:
     names = tuple(f"mode {k + 1}" for k in range(len(modes.omega)))
     shaken = Shaken(names, modes.omega / (2 * np.pi), -modes.poles.real / modes.omega)
     return shaken, _seen(image, lenses.T, bench.lenses).T
-
-
-def _dynamics(stage: Stage) -> Dynamics:
-    """Return how a stage follows, without its pure delay."""
-    model = stage_model(stage)
-    return Dynamics(model.a, model.b[:, 0], model.c[0], float(model.d[0, 0]))
 
 
 @dataclass(frozen=True)
@@ -161,7 +155,7 @@ def asked_of(study: LensStudy, springs: str, one: Controller) -> Design:
             )
         )
     # A constant command of 1 moves the stage by its gain; designs take channels of gain 1.
-    follows = _dynamics(replace(stage, gain=1.0))
+    follows = dynamics_of(replace(stage, gain=1.0))
     return Design(one.name, STAGE, tuple(watched), (STAGE,), follows, timing, shaken, (), np.zeros((0, 1)))
 
 
@@ -169,7 +163,7 @@ def _sampled(one: Closed, stage: Stage) -> SampledLoop:
     """Return the loop of a linear controller with the nominal stage."""
     assert isinstance(one.given, Regulator)
     sights = [
-        Sight(in_series(_dynamics(stage), sensor.dynamics()), matrix @ _SIGHT)
+        Sight(in_series(dynamics_of(stage), sensor.dynamics()), matrix @ _SIGHT)
         for sensor, matrix in zip(one.sensors, one.matrices, strict=True)
     ]
     first, *further = sights
@@ -185,9 +179,11 @@ def beside(study_text: str, springs: str, realizations: Sequence[int]) -> tuple[
 
 
 def _follow(
-    one: Closed, seed: int, realizations: Sequence[int], row: int, plant: Plant, runs: FreeRuns
+    one: Closed, seed: int, realizations: Sequence[int], plants: Sequence[Plant], runs: FreeRuns, step: float
 ) -> tuple[Array, Array]:
-    """Return command and position of the stage (k,), m, under a controller on a free run of a plant.
+    """Return commands and positions of the stages (c, k), m, under a controller on free runs of plants.
+
+    What is beyond the realizations repeats the last one.
 
     Raises
     ------
@@ -195,49 +191,31 @@ def _follow(
         If it diverges.
     """
     assert runs.lenses is not None
-    seen = _seen(runs.image[row], runs.lenses[row].T, plant.bench.lenses)
-    still = np.zeros(len(runs.time))
+    every = round(step / PLANT_STEP)
+    count = len(runs.time[::every])
+    still = np.zeros((len(plants), count))
     if one.given is None:
         return still, still
+    seen = [
+        _seen(image, lenses.T, plant.bench.lenses)
+        for image, lenses, plant in zip(runs.image, runs.lenses, plants, strict=True)
+    ]
     if isinstance(one.given, Instant):
-        command = -(one.given.decoupling @ np.vstack(one.matrices) @ seen.T)[0] / _UM
+        wanted = one.given.decoupling @ np.vstack(one.matrices)
+        command = np.stack([-(wanted @ each[::every].T)[0] / _UM for each in seen])
         return command, one.gain * command
-    given = closing.readings(
-        runs.time, seen, one.timing, one.sensors, one.matrices, LIGHT, seed, realizations[row]
-    )
-    commands = list[float]()
-    first, *further = (
+    cases = [realizations[min(row, len(realizations) - 1)] for row in range(len(plants))]
+    given = [
+        closing.readings(runs.time, each, one.timing, one.sensors, one.matrices, LIGHT, seed, case)
+        for each, case in zip(seen, cases, strict=True)
+    ]
+    eyes = tuple(
         Eye(matrix @ _SIGHT, sensor.quantum, sensor.dynamics())
         for matrix, sensor in zip(one.matrices, one.sensors, strict=True)
     )
-    moved = Actuator(_dynamics(plant.stage), np.full(1, np.inf), np.inf, np.full(1, np.nan))
-    unit = _through_converter(one.given, commands)
-    loop = Loop(one.timing, unit, moved, first.sees, first.quantum, first.sensor, further=tuple(further))
-    found = run([loop], _events(one.timing, len(still)), [given[..., None]], len(still) - 1)
-    if found.diverged[0]:
-        raise UserError(f"It diverges under the controller {one.name!r}.")
-    stage = np.concatenate([[0.0], found.positions[:, 0, 0]]) / _UM
-    periods = np.floor(runs.time / one.timing.period + 1e-9).astype(np.int64)
-    return np.concatenate([[0.0], commands])[np.minimum(periods, len(commands))] / _UM, stage
-
-
-@prepared(maxsize=8)
-def _events(timing: Timing, count: int) -> Schedule:
-    """Return the events of a loop that is looked at where plants are."""
-    return schedule([timing], PLANT_STEP * np.arange(1.0, count))
-
-
-def _through_converter(given: Regulator | Stepped, commands: list[float]) -> Stepped:
-    """Return a controller whose commands, in um, the control unit's converter puts out and a list keeps."""
-    rest = start(given, 1)
-
-    def function(states: Array, readings: Array) -> tuple[Array, Array]:
-        own, wanted = advance(given, states.reshape(rest.shape), readings)
-        put = _UM * quantized_command(wanted / _UM)
-        commands.append(float(put[0, 0]))
-        return own.reshape(-1, 1), put
-
-    return Stepped(rest.size, function)
+    timing = replace(one.timing, latency=one.timing.latency - plants[0].stage.delay)
+    follower = Follower(one.name, one.given, timing, np.stack(given, axis=-1), timing.frame, eyes, 1.0 / _UM)
+    return follow(follower, [plant.stage for plant in plants], step, count)
 
 
 def loops(study: LensStudy) -> Makers:

@@ -8,7 +8,10 @@ from importlib import import_module
 import numpy as np
 
 from wavequake.campaign.schema import Study
+from wavequake.chain.loops.blocks import LoopBlocks
 from wavequake.chain.loops.closing import grows
+from wavequake.chain.loops.designed import Sighted, designs_of
+from wavequake.chain.loops.judged import sampled_loops
 from wavequake.control.linear import LinearModel
 from wavequake.control.robustness.feedback import Loop, closed_poles
 from wavequake.control.robustness.margins import Margins, grid, margins
@@ -112,6 +115,12 @@ def converted(
 def sampled_loop(name: str, loop: SampledLoop) -> StudyLoop:
     """Return a loop of this name with its parts."""
     return StudyLoop(plant_model(loop), controller_model(loop), partial(_sampled_margins, name, loop))
+
+
+def linear_loops(study: LoopBlocks, optics: Sighted) -> Makers:
+    """Return every linear controller of a study that acts, each alone."""
+    found = sampled_loops(study, optics, designs_of(study, optics))
+    return {name: partial(sampled_loop, name, loop) for name, loop in found.items()}
 
 
 def _sampled_margins(name: str, loop: SampledLoop) -> LoopMargins:

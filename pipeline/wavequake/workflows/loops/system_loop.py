@@ -18,14 +18,8 @@ from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import noise_of, seen
-from wavequake.chain.loops.closing import readings
-from wavequake.chain.loops.designed import Designed, assembled, designed
-from wavequake.chain.loops.judged import (
-    refuse_saturated,
-    refuse_unstable,
-    refuse_unstable_together,
-    sampled_loops,
-)
+from wavequake.chain.loops.designed import Designed, readings_of
+from wavequake.chain.loops.judged import judged_loops
 from wavequake.control.linear import Array
 from wavequake.control.sampled.run import run
 from wavequake.control.sampled.stability import SampledLoop
@@ -33,7 +27,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import ElementMotion, add_elements
 from wavequake.workflows.loops.curves import curves, frequencies
-from wavequake.workflows.loops.loop_margins import Makers, sampled_loop
+from wavequake.workflows.loops.loop_margins import Makers, linear_loops
 from wavequake.workflows.loops.system_light import SystemOptics, drawn_at, moved, optics_of, seen_of
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.mirror_study import FULL
@@ -65,25 +59,11 @@ def bench_of(study: SystemLoopStudy) -> Bench:
         unstable, or a stroke is too short; names the block.
     """
     optics = optics_of(study)
-    for sensor in study.sensor:
-        sensor.labels(optics.light)  # what those cannot read that no controller uses, too
-    designs = {one.name: designed(study, optics, one) for one in study.controller}
-    linear = sampled_loops(study, optics, designs)
-    for name, loop in linear.items():
-        refuse_unstable(study, study.study.name, name, loop, optics)
-    looks = [np.zeros(0) if one is None else one.seen[one.looks] for one in optics.times]
-    controllers = tuple(
-        assembled(study, optics, one, designs, [at for at in looks if len(at)]) for one in study.controller
+    looks = [one.seen[one.looks] for one in optics.times if one is not None]
+    seen = partial(seen_of, optics, realization=0)
+    return Bench(
+        study, optics, *judged_loops(study, study.study.name, optics, study.disturbance, looks, seen)
     )
-    for one in controllers:
-        refuse_unstable_together(study, one)
-    first = {
-        entry.name: seen_of(optics, index, 0)
-        for index, entry in enumerate(study.disturbance)
-        if entry.share and any(one.stroke is not None for one in study.actuator)
-    }
-    refuse_saturated(study, optics, first)
-    return Bench(study, optics, controllers, linear)
 
 
 def compute(bench: Bench, table: CaseTable, device_name: str, clock: Stopwatch) -> Iterator[Block]:
@@ -163,23 +143,11 @@ def _positions(
         return disturbance[times.looks] @ one.instant.T, np.zeros(()), False
     if not one.loops:
         return np.zeros((len(times.looks), 0)), np.zeros(()), False
-    given = [
-        readings(
-            times.seen,
-            disturbance,
-            loop.timing,
-            study.sensors(controller),
-            matrices,
-            bench.optics.light,
-            study.study.seed,
-            realization,
-        )[..., None]
-        for controller, loop, matrices in zip(
-            study.running(study.part("controller", one.name)), one.loops, one.readings, strict=True
-        )
-    ]
+    given = readings_of(
+        study, bench.optics.light, one, times.seen, disturbance, study.study.seed, realization
+    )
     place = sum(entry.share > 0 for entry in study.disturbance[:index])  # schedules are of those with cases
-    found = run(one.loops, one.schedules[place], given, len(times.looks))
+    found = run(one.loops, one.schedules[place], [each[..., None] for each in given], len(times.looks))
     return np.ascontiguousarray(found.positions[..., 0]), found.limited[0], bool(found.diverged[0])
 
 
@@ -271,10 +239,7 @@ def describe(bench: Bench) -> dict[str, str]:
 
 def loops(study: SystemLoopStudy) -> Makers:
     """Return every linear controller that acts, each alone."""
-    optics = optics_of(study)
-    designs = {one.name: designed(study, optics, one) for one in study.controller}
-    found = sampled_loops(study, optics, designs)
-    return {name: partial(sampled_loop, name, loop) for name, loop in found.items()}
+    return linear_loops(study, optics_of(study))
 
 
 def case_labels(study: SystemLoopStudy, cases: NDArray[np.int64]) -> CaseTable:

@@ -3,13 +3,9 @@
 from dataclasses import dataclass
 
 from wavequake.chain.images.extended import check_object
-from wavequake.chain.loops.designed import Designed, assembled, designed
-from wavequake.chain.loops.judged import (
-    refuse_saturated,
-    refuse_unstable,
-    refuse_unstable_together,
-    sampled_loops,
-)
+from wavequake.chain.loops.designed import Designed
+from wavequake.chain.loops.judged import judged_loops
+from wavequake.control.linear import Array
 from wavequake.control.sampled.stability import SampledLoop
 from wavequake.workflows.loops.telescope_light import Optics, drawn, optics_of, seen_of
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
@@ -49,20 +45,11 @@ def bench_of(study: TelescopeLoopStudy) -> Bench:
     for index, entry in enumerate(study.disturbance):
         if entry.share:
             drawn(study, optics, index, 0)  # what no case can do is said before a run
-    for sensor in study.sensor:
-        sensor.labels(optics.light)  # what those cannot read that no controller uses, too
-    designs = {one.name: designed(study, optics, one) for one in study.controller}
-    linear = sampled_loops(study, optics, designs)
-    for name, loop in linear.items():
-        refuse_unstable(study, study.study.name, name, loop, optics)
     looks = [time[1:] for time in optics.times]
-    controllers = tuple(assembled(study, optics, one, designs, looks) for one in study.controller)
-    for one in controllers:
-        refuse_unstable_together(study, one)
-    first = {
-        entry.name: seen_of(study, optics, drawn(study, optics, index, 0))
-        for index, entry in enumerate(study.disturbance)
-        if entry.share and any(one.stroke is not None for one in study.actuator)
-    }
-    refuse_saturated(study, optics, first)
-    return Bench(study, optics, controllers, linear)
+
+    def seen(index: int) -> Array:
+        return seen_of(study, optics, drawn(study, optics, index, 0))
+
+    return Bench(
+        study, optics, *judged_loops(study, study.study.name, optics, study.disturbance, looks, seen)
+    )

@@ -20,8 +20,7 @@ from wavequake.chain.images.camera import frame_axes
 from wavequake.chain.images.coherent import mean_image
 from wavequake.chain.images.extended import lit_object_words, object_image
 from wavequake.chain.loops.answers import dynamics_of, put_all
-from wavequake.chain.loops.closing import readings
-from wavequake.chain.loops.designed import Designed, design_notices
+from wavequake.chain.loops.designed import Designed, design_notices, readings_of
 from wavequake.control.linear import Array
 from wavequake.control.sampled.run import run
 from wavequake.errors import UserError
@@ -72,20 +71,6 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
                 yield _batch(bench, index, rows, table["realization"][rows], choose_device(device), clock)
 
 
-def _readings(bench: Bench, one: Designed, case: CaseDraw, seen: Array) -> list[Array]:
-    """Return the readings (frames, m) of each loop's sensors without the loop, with noise."""
-    study = bench.study
-    return [
-        readings(
-            case.time, seen, loop.timing, study.sensors(controller), matrices, bench.optics.light,
-            study.study.seed, case.realization,
-        )
-        for controller, loop, matrices in zip(
-            study.running(study.part("controller", one.name)), one.loops, one.readings, strict=True
-        )
-    ]  # fmt: skip
-
-
 def _batch(
     bench: Bench, index: int, rows: Integers, realizations: Integers, device: Device, clock: Stopwatch
 ) -> Block:
@@ -129,7 +114,11 @@ def positions_of(
     if not one.loops:
         return [np.zeros((looks, 0))] * count, np.zeros(count), np.zeros(count, bool)
     columns = [case.realization % ROWS for case in draws]
-    read = [_readings(bench, one, case, values) for case, values in zip(draws, seen, strict=True)]
+    study, light = bench.study, bench.optics.light
+    read = [
+        readings_of(study, light, one, case.time, values, study.study.seed, case.realization)
+        for case, values in zip(draws, seen, strict=True)
+    ]
     given = []
     for place in range(len(one.loops)):
         whole = np.zeros((*read[0][place].shape, ROWS))
