@@ -91,9 +91,17 @@ of = ["assembly", "polishing", "shake", "sky"]
 """
 
 
-def test_a_case_as_a_lens_file_has_the_surfaces_and_light_of_the_case(tmp_path):
+ASPHERE = 'name = "front"\nconic = -0.6\neven_asphere = [1e-5, 3e-6, -2e-8, 1e-10]\n'
+
+
+@pytest.mark.parametrize(
+    "front",
+    ['name = "front"\n', ASPHERE, ASPHERE + "zernike_obscuration = 0.2\n"],
+    ids=["conic", "asphere", "annular asphere"],
+)
+def test_a_case_as_a_lens_file_has_the_surfaces_and_light_of_the_case(tmp_path, front):
     """The same rays through the file's system at rest and through the study's as it moves and deforms."""
-    (tmp_path / "study.toml").write_text(STUDY)
+    (tmp_path / "study.toml").write_text(STUDY.replace('name = "front"\n', front))
     store = tmp_path / "store"
     wq.run(tmp_path / "study.toml", store=store, cases=3, optics__rays=200, wavefront__zernike_terms=28)
     bench = system_bench(read_manifest(store).study)

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import wavequake as wq
 from wavequake.errors import UserError
+from wavequake.mechanics.mirrors.deck import write_deck
+from wavequake.mechanics.mirrors.models import ALUMINUM, CircularMirror, mirror_mesh
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_disturbance import notices
@@ -233,3 +235,52 @@ def test_nodes_that_end_before_the_rim_are_told(tmp_path):
         study(tmp_path, NODAL + 'file = "nodes.npz"', nodes_mm=inner, displacements_um=np.ones((600, 3)))
     )
     assert "beyond 80% of the radius there are no nodes" in found.words
+
+
+def test_temperatures_of_a_mirror_change_its_radius_by_its_expansion(tmp_path):
+    """A free mirror 25 K warmer has the radius R (1 + alpha dT); a gradient g adds the curvature alpha g."""
+    mesh = mirror_mesh(
+        CircularMirror(diameter=0.2, thickness=0.02, focal_length=-1.0, core=2, rings=4, mount_radius=0.06)
+    )
+    write_deck(tmp_path / "mirror.inp", mesh, ALUMINUM)
+    x, y, z = mesh.nodes.T
+    alpha, warmer, gradient = 2.3e-5, 25.0, 40.0
+    np.savez(
+        tmp_path / "temperatures.npz",
+        nodes_mm=mesh.nodes * 1e3,
+        temperatures_c=[20.0 + warmer + 0 * z, 20.0 + gradient * z],
+    )
+    bent = np.column_stack([x * z, y * z, (z**2 - x**2 - y**2) / 2])[mesh.front_nodes]
+    front = mesh.nodes[mesh.front_nodes]
+    np.savez(
+        tmp_path / "exact.npz",
+        nodes_mm=front * 1e3,
+        displacements_um=1e6 * alpha * np.stack([warmer * front, gradient * bent]),
+    )
+    thermal = f'thermal = {{ expansion_per_k = {alpha}, nodes = "SURFACE" }}\n'
+    text = NODAL + 'file = "temperatures.npz"\nmesh = "mirror.inp"\nunit = "m"\n' + thermal
+    text += NODAL.replace("thermal", "exact") + 'file = "exact.npz"\n'
+    for case in (1, 2):
+        loaded = study(tmp_path, text.replace("terms = 15", f"terms = 15\nload_case = {case}"))
+        found, exact = moved(loaded), moved(loaded, "exact")
+        np.testing.assert_allclose(found.figure, exact.figure, rtol=0, atol=2e-4 * np.abs(exact.figure).max())
+        np.testing.assert_allclose(found.rigid[0, 3:], 0.0, atol=1e-12)
+        if case == 1:  # sag at the rim 2.5 mm less by alpha dT, as defocus sqrt(3) (2 rho^2 - 1)
+            shallower = alpha * warmer * 2.5e-3 / (2 * np.sqrt(3))
+            np.testing.assert_allclose(found.figure[0, 3], shallower, rtol=1e-3)
+    assert "thermal" not in json.loads(loaded.identity_text())["disturbance"][0]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "holds temperatures; what they do is said by thermal"),
+        ("thermal = { expansion_per_k = 1e-5 }\n", "name the key mesh, a deck with the elements"),
+        ("thermal = { expansion = 1e-5 }\n", "thermal.expansion_per_k: field required"),
+        ('thermal = { expansion_per_k = 1e-5 }\nmesh = "temperatures.csv"\n', "name unit, that of the mesh"),
+    ],
+)
+def test_temperatures_without_a_body_are_refused(tmp_path, text, words):
+    (tmp_path / "temperatures.csv").write_text("x_mm,y_mm,z_mm,temperature_c\n0,0,0,20\n")
+    with pytest.raises(UserError, match=words):
+        study(tmp_path, NODAL + 'file = "temperatures.csv"\n' + text)

@@ -1,4 +1,4 @@
-"""Displacements and modes in CalculiX' results (``.frd``), written as text (CalculiX CrunchiX manual)."""
+"""Displacements, modes and temperatures in CalculiX' results (``.frd``) as text (manual of CrunchiX)."""
 
 from pathlib import Path
 
@@ -12,12 +12,12 @@ _WIDTH = 12  # of a number; the node's number before has 10 digits behind the li
 
 
 def read_frd(path: Path) -> Written:
-    """Return nodes, and displacements per increment or mode.
+    """Return nodes, and displacements per increment or mode, or temperatures.
 
     Raises
     ------
     UserError
-        If it is no such file, cut off, binary, or without displacements.
+        If it is no such file, cut off, binary, or with neither.
     """
     lines = whole_lines(path).replace(b"\r", b"").split(b"\n")
     if not lines[0].startswith(b"    1C"):
@@ -49,17 +49,19 @@ def _blocks(lines: list[bytes], source: str) -> Written:
             while lines[at + 1].startswith((b" -4", b" -5")):
                 wanted += lines[at + 1].startswith(b" -5") and lines[at + 1][5:8].strip() != b"ALL"
                 at += 1
-            if name == b"DISP":
+            if name in (b"DISP", b"NDTEMP"):
                 found, at = _rows(lines, at + 1, wanted, source)
                 kind = _kind(procedure, mode)
-                number = mode if kind == "mode" else len(steps) + 1
-                steps.append(Step(kind, number, value, found[0], found[1][:, :3]))
+                alike = sum(one.is_thermal == (name == b"NDTEMP") for one in steps)
+                number = mode if kind == "mode" else alike + 1
+                steps.append(Step(kind, number, value, found[0], found[1][:, : 3 if name == b"DISP" else 1]))
                 mode = 0
                 continue
             mode = 0
         at += 1
     if nodes is None or not steps:
-        raise UserError(f"{source} holds {'no displacements (DISP)' if nodes else 'no nodes'}")
+        what = "neither displacements (DISP) nor temperatures (NDTEMP)" if nodes else "no nodes"
+        raise UserError(f"{source} holds {what}")
     return Written(source, tuple(steps), *nodes)
 
 

@@ -1,4 +1,4 @@
-"""Displacements and real modes in Nastran's binary results (``.op2``), and the nodes where they hold them.
+"""Displacements, real modes and temperatures in Nastran's binary results (``.op2``), and its nodes.
 
 The file is a sequence of Fortran records: a marker of one word, and after a positive one as many words of
 data. A table is a name, a trailer, and records, each opened by a negative marker; a zero closes it (MSC
@@ -42,14 +42,14 @@ class _Format:
 
 
 def read_op2(path: Path) -> Written:
-    """Return displacements and modes of an ``.op2`` file, and its GRID points if it holds them.
+    """Return displacements, modes and temperatures of an ``.op2`` file, and its GRID points if it holds them.
 
-    Complex results, velocities, temperatures and other tables are passed over.
+    Complex results, velocities and other tables are passed over.
 
     Raises
     ------
     UserError
-        If it is no such file or cut off, holds neither displacements nor modes, or points have axes of their
+        If it is no such file or cut off, holds none of these, or points have axes of their
         own.
     """
     data = read_bytes(path)
@@ -66,7 +66,7 @@ def read_op2(path: Path) -> Written:
         steps += _steps(tables.get(name, []), form, path.name)
     if not steps:
         raise UserError(
-            f"{path.name} holds no real displacements or modes of points (tables OUG); it has "
+            f"{path.name} holds no real displacements, modes or temperatures of points (tables OUG); it has "
             f"{', '.join(sorted(tables))[:200] or 'no tables'}"
         )
     labels, points = _grid(tables, form, path.name, own_axes=found is _OWN)
@@ -140,7 +140,7 @@ def _steps(records: list[bytes], form: _Format, source: str) -> Iterator[Step]:
             continue
         at += 2
         kind, table, sort = _KINDS.get(int(words[0]) // 10), int(words[1]) % 1000, int(words[1]) // 1000
-        if kind is None or table not in (_DISPLACEMENT, _EIGENVECTOR) or sort not in (0, 2) or words[22] == 1:
+        if kind is None or table not in (_DISPLACEMENT, _EIGENVECTOR) or sort not in (0, 2):
             continue
         if sort == 2:
             raise UserError(f"{source} holds results by node (SORT2); write them by instant (SORT1)")
@@ -149,8 +149,10 @@ def _steps(records: list[bytes], form: _Format, source: str) -> Iterator[Step]:
         if len(rows) % (_ROW * form.word):
             raise UserError(f"{source}: {len(rows)} bytes are no whole rows of a node; the file is damaged")
         whole = form.integers(rows).reshape(-1, _ROW)
-        values = form.reals(rows).reshape(-1, _ROW)[whole[:, 1] == _POINT, 2:]
-        labels = whole[whole[:, 1] == _POINT, 0] // 10
+        thermal = words[22] == 1
+        point = (whole[:, 1] == _POINT) | thermal
+        values = form.reals(rows).reshape(-1, _ROW)[point, 2 : 3 if thermal else _ROW]
+        labels = whole[point, 0] // 10
         number, real = int(words[4]), form.reals(head)
         value = float(real[4])
         if kind == "mode":

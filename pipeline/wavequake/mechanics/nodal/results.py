@@ -50,6 +50,22 @@ class NodalResults:
     motions: Array
 
 
+def read_written(path: Path) -> Written:
+    """Return what a file of nodal results holds, as it is written there.
+
+    Raises
+    ------
+    UserError
+        If there is no reader of such files, or it cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise UserError(
+            f"{path.name}: no reader of nodal results for {suffix or 'no suffix'}; give {FORMATS}"
+        )
+    return READERS[suffix](path)
+
+
 def read_results(
     path: Path, unit: str | None, mesh: Path | None, wanted: Sequence[Kind] = ("time", "case")
 ) -> NodalResults:
@@ -70,18 +86,19 @@ def read_results(
         If the file cannot be read, has no such steps, its unit or nodes are not known, steps have different
         nodes, or instants do not increase.
     """
-    suffix = path.suffix.lower()
-    if suffix not in READERS:
+    written = read_written(path)
+    moving = [step for step in written.steps if not step.is_thermal]
+    if not moving:
         raise UserError(
-            f"{path.name}: no reader of nodal results for {suffix or 'no suffix'}; give {FORMATS}"
+            f"{path.name} holds temperatures; what they do is said by thermal = {{ expansion_per_k = ... }} "
+            "of the disturbance, with a mesh of elements"
         )
-    written = READERS[suffix](path)
     scale = _scale(written, unit)
-    kind = next((one for one in wanted if any(step.kind == one for step in written.steps)), None)
+    kind = next((one for one in wanted if any(step.kind == one for step in moving)), None)
     if kind is None:
-        held = ", ".join(sorted({_WORDS[step.kind] for step in written.steps}))
+        held = ", ".join(sorted({_WORDS[step.kind] for step in moving}))
         raise UserError(f"{path.name} holds {held}, but {_WORDS[wanted[0]]} are needed")
-    steps = [step for step in written.steps if step.kind == kind]
+    steps = [step for step in moving if step.kind == kind]
     labels = steps[0].labels
     width = min(step.values.shape[1] for step in steps)
     motions = np.stack([_aligned(step, labels, path.name)[:, :width] for step in steps])

@@ -21,8 +21,8 @@ class Step:
         Of an instant s, of a mode its frequency in Hz.
     labels : ndarray of int, shape (p,)
         Node numbers.
-    values : ndarray, shape (p, 3) or (p, 6)
-        Displacements and perhaps rotations, in the axes of the coordinates.
+    values : ndarray, shape (p, 3), (p, 6) or (p, 1)
+        Displacements and perhaps rotations, in the axes of the coordinates; or temperatures.
     """
 
     kind: Kind
@@ -30,6 +30,11 @@ class Step:
     value: float
     labels: Integers
     values: Array
+
+    @property
+    def is_thermal(self) -> bool:
+        """Whether it holds temperatures."""
+        return bool(self.values.shape[1] == 1)
 
 
 @dataclass(frozen=True)

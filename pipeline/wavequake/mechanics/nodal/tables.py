@@ -1,4 +1,4 @@
-"""Displacements of nodes in tables: CSV whose columns say what they are, and text as Zemax STAR takes it."""
+"""Displacements or temperatures of nodes in tables: CSV with names of columns, text as of Zemax STAR."""
 
 import csv
 import io
@@ -15,11 +15,15 @@ from wavequake.mechanics.nodal.step import Kind, Step, Written
 
 _UNITS = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "m": 1.0}
 _PLACES, _SHIFTS = ("x", "y", "z"), ("dx", "dy", "dz")
-COLUMNS = "x_mm, y_mm, z_mm, dx_um, dy_um, dz_um (or in _nm, _mm, _m), and perhaps node, and time_s or case"
+_TEMPERATURE = "temperature_c"
+COLUMNS = (
+    "x_mm, y_mm, z_mm, dx_um, dy_um, dz_um (or in _nm, _mm, _m) or temperature_c, and perhaps node, and "
+    "time_s or case"
+)
 
 
 def read_csv(path: Path) -> Written:
-    """Return the displacements of a CSV whose first line names its columns, see `COLUMNS`.
+    """Return what a CSV holds whose first line names its columns, see `COLUMNS`.
 
     Each row is a node at an instant or in a load case; without either there is one load case.
 
@@ -29,21 +33,24 @@ def read_csv(path: Path) -> Written:
         If a column or value is not what it must be, or a step lacks a node.
     """
     names, table = _table(path)
-    where, factors = _columns(names, path.name)
-    points = table[:, where[:3]] * factors[:3]
-    moved = table[:, where[3:]] * factors[3:]
+    where, measured, factors = _columns(names, path.name)
+    points = table[:, where] * factors[: len(where)] if where else None
+    moved = table[:, measured] * factors[len(where) :]
     key = next((name for name in ("time_s", "case") if name in names), None)
     given = table[:, names.index(key)] if key else np.zeros(len(table))
     kind: Kind = "time" if key == "time_s" else "case"
     values, step = np.unique(given, return_inverse=True)
-    labels = whole(table[:, names.index("node")], path.name) if "node" in names else _numbered(points)
+    if points is None or "node" in names:
+        labels = whole(table[:, names.index("node")], path.name)
+    else:
+        labels = _numbered(points)
     parts = np.split(np.argsort(step, kind="stable"), np.cumsum(np.bincount(step))[:-1])
     chosen = parts[0]
     steps = []
     for number, (value, rows) in enumerate(zip(values.tolist(), parts, strict=True)):
         case = int(value) if key == "case" else number + 1
         steps.append(Step(kind, case, value if key == "time_s" else 0.0, labels[rows], moved[rows]))
-    return Written(path.name, tuple(steps), labels[chosen], points[chosen], 1.0)
+    return Written(path.name, tuple(steps), labels[chosen], None if points is None else points[chosen], 1.0)
 
 
 def _numbered(points: Array) -> Integers:
@@ -71,22 +78,31 @@ def _table(path: Path) -> tuple[list[str], Array]:
     return names, table
 
 
-def _columns(names: list[str], source: str) -> tuple[list[int], Array]:
-    """Return where the three coordinates and displacements stand, and what makes them m."""
+def _columns(names: list[str], source: str) -> tuple[list[int], list[int], Array]:
+    """Return where coordinates and displacements or temperatures stand, and what makes them m.
+
+    Temperatures of numbered nodes need no coordinates.
+    """
     found: dict[str, tuple[int, float]] = {}
     for place, name in enumerate(names):
         axis, _, unit = name.rpartition("_")
-        if axis in (*_PLACES, *_SHIFTS) and unit in _UNITS and axis not in found:
+        if name == _TEMPERATURE and name not in found:
+            found[name] = (place, 1.0)
+        elif axis in (*_PLACES, *_SHIFTS) and unit in _UNITS and axis not in found:
             found[axis] = (place, _UNITS[unit])
         elif name not in ("node", "time_s", "case") or names.count(name) > 1:
             raise UserError(f"{source}: the column {name!r} is not known or given twice; write {COLUMNS}")
-    missing = [axis for axis in (*_PLACES, *_SHIFTS) if axis not in found]
+    thermal = _TEMPERATURE in found
+    places = () if thermal and "node" in names and not found.keys() & set(_PLACES) else _PLACES
+    wanted = (*places, *((_TEMPERATURE,) if thermal else _SHIFTS))
+    missing = [axis for axis in wanted if axis not in found]
     if missing:
         raise UserError(f"{source} has no column {missing[0]} with a unit; write {COLUMNS}")
     if "time_s" in names and "case" in names:
         raise UserError(f"{source} has both time_s and case; keep one of them")
-    both = [found[axis] for axis in (*_PLACES, *_SHIFTS)]
-    return [place for place, _ in both], np.array([factor for _, factor in both])
+    both = [found[axis] for axis in wanted]
+    where = [place for place, _ in both]
+    return where[: len(places)], where[len(places) :], np.array([factor for _, factor in both])
 
 
 def read_modes(path: Path) -> tuple[Integers, Array, Array, Array, Array]:
@@ -138,21 +154,22 @@ def read_modes(path: Path) -> tuple[Integers, Array, Array, Array, Array]:
 
 
 def read_text(path: Path) -> Written:
-    """Return the displacements of lines ``x y z dx dy dz``, as Zemax STAR reads them, in a unit to be said.
+    """Return what lines ``x y z dx dy dz`` or ``x y z T`` hold, as of Zemax STAR, in a unit to be said.
 
     Lines of words, and those that begin with # or !, are left out.
 
     Raises
     ------
     UserError
-        If a line has not six numbers.
+        If a line has not six numbers, or all have not four.
     """
     lines = user_files.read_text(path).replace(";", " ").replace("\t", " ").splitlines()
     first = next((k for k, line in enumerate(lines) if _is_row(line)), None)
     if first is None:
-        raise UserError(f"{path.name} has no lines of six numbers, x y z dx dy dz")
+        raise UserError(f"{path.name} has no lines of six numbers, x y z dx dy dz, or of four, x y z T")
     rows = [line for line in lines[first:] if line.strip() and line.lstrip()[0] not in "#!"]
-    table = numbers(("\n".join(rows) + "\n").encode(), path.name, 6, first + 1)
+    width = 4 if len(rows[0].replace(",", " ").split()) == 4 else 6
+    table = numbers(("\n".join(rows) + "\n").encode(), path.name, width, first + 1)
     if not np.isfinite(table).all():
         raise UserError(f"{path.name}, row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1} is not finite")
     labels = np.arange(1, len(table) + 1)
@@ -167,10 +184,10 @@ def _is_row(line: str) -> bool:
 
 
 def read_arrays(path: Path) -> Written:
-    """Return the displacements of an ``.npz`` file.
+    """Return the displacements or temperatures of an ``.npz`` file.
 
-    ``nodes_mm`` (p, 3), ``displacements_um`` (n, p, 3) or, of one load case, (p, 3); perhaps ``time_s`` (n,)
-    or numbers of ``cases`` (n,), and ``node_numbers`` (p,).
+    ``nodes_mm`` (p, 3), ``displacements_um`` (n, p, 3) or, of one load case, (p, 3), or ``temperatures_c``
+    (n, p) or (p,); perhaps ``time_s`` (n,) or numbers of ``cases`` (n,), and ``node_numbers`` (p,).
 
     Raises
     ------
@@ -187,8 +204,9 @@ def read_arrays(path: Path) -> Written:
 
 def from_arrays(found: user_files.Arrays, source: str) -> Written:
     """Return what arrays hold, see `read_arrays`."""
-    known = ("nodes_mm", "displacements_um", "time_s", "node_numbers", "cases")
-    for name in ("nodes_mm", "displacements_um", *found):
+    given = "temperatures_c" if "temperatures_c" in found else "displacements_um"
+    known = ("nodes_mm", given, "time_s", "node_numbers", "cases")
+    for name in ("nodes_mm", given, *found):
         if name not in found or name not in known:
             raise UserError(
                 f"{'the array' if name in known else 'there is no meaning of'} {name!r}"
@@ -197,13 +215,16 @@ def from_arrays(found: user_files.Arrays, source: str) -> Written:
         values = found[name]
         if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
             raise UserError(f"{name!r} holds what is no finite number")
-    points, moved = (np.asarray(found[name], dtype=np.float64) for name in ("nodes_mm", "displacements_um"))
+    points, moved = (np.asarray(found[name], dtype=np.float64) for name in ("nodes_mm", given))
+    width = 3 if given == "displacements_um" else 1
+    if width == 1:
+        moved = moved[..., None]
     moved = moved[None] if moved.ndim == 2 else moved
-    shape = (len(moved), len(points), 3)
+    shape = (len(moved), len(points), width)
     if points.shape != (len(points), 3) or moved.shape != shape or not moved.size:
         raise UserError(
-            f"'nodes_mm' has the shape {points.shape} and 'displacements_um' {moved.shape}; they must be "
-            "(p, 3) and (n, p, 3)"
+            f"'nodes_mm' has the shape {points.shape} and {given!r} {found[given].shape}; they must be "
+            f"(p, 3) and {'(n, p, 3)' if width == 3 else '(n, p)'}"
         )
     if "time_s" in found and "cases" in found:
         raise UserError("it has both 'time_s' and 'cases'; keep one of them")
@@ -217,7 +238,9 @@ def from_arrays(found: user_files.Arrays, source: str) -> Written:
     )
     kind: Kind = "case" if time is None else "time"
     steps = [
-        Step(kind, number, 0.0 if time is None else float(time[row]), labels, one * 1e-6)
+        Step(
+            kind, number, 0.0 if time is None else float(time[row]), labels, one * 1e-6 if width == 3 else one
+        )
         for row, (number, one) in enumerate(zip(cases.tolist(), moved, strict=True))
     ]
     return Written(source, tuple(steps), labels, points * 1e-3, 1.0)

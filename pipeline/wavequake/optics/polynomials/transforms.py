@@ -1,4 +1,7 @@
-"""From coefficients over one annulus to those over another: circular <-> annular (Störkle 2018, Eq. 3.53)."""
+"""From coefficients over one annulus to those over another (Störkle 2018, Eq. 3.53), and from powers."""
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,3 +94,22 @@ def known_transformed(coefficients: Array, source: float, target: float) -> Arra
     """
     known = np.nan_to_num(coefficients, posinf=np.inf, neginf=-np.inf)
     return np.where(np.isnan(coefficients), np.nan, transform_coefficients(known, source, target))
+
+
+def powers_as_zernike(powers: Sequence[float], norm: float) -> tuple[float, ...]:
+    """Return the Noll coefficients of powers rho^2, rho^4, ... (mm), exactly: they are even polynomials.
+
+    The radial polynomial of degree 2 k without azimuth is Legendre's of degree k in 2 rho^2 - 1, its Noll
+    number (2 k)(2 k + 1) / 2 + 1 and its norm sqrt(2 k + 1).
+    """
+    while not powers[-1]:
+        powers = powers[:-1]
+    total = np.polynomial.Polynomial([0.0])
+    square = np.polynomial.Polynomial([0.5, 0.5])  # rho^2 by 2 rho^2 - 1
+    for k, power in enumerate(powers, start=1):
+        total = total + power * norm ** (2 * k) * square**k
+    legendre = np.polynomial.legendre.poly2leg(total.coef)
+    found = np.zeros(len(powers) * (2 * len(powers) + 1) + 1)
+    for k, value in enumerate(legendre):
+        found[k * (2 * k + 1)] = value / math.sqrt(2 * k + 1)
+    return tuple(float(value) for value in found)

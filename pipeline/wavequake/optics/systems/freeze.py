@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.polynomials.transforms import powers_as_zernike, transform_coefficients
 from wavequake.optics.rays.packing import bundle_rotation
 from wavequake.optics.shapes.shapes import (
     Conic,
+    EvenAsphere,
     GridDeformation,
     GridSag,
     Shape,
@@ -85,6 +87,8 @@ def _deformed(surface: Surface, numbers: Array) -> Shape:
             return ZernikeSag(
                 shape.radius, shape.conic, tuple(terms.tolist()), form.pupil_radius, form.obscuration
             )
+        if isinstance(shape, EvenAsphere):
+            shape = _with_zernike(shape, form)
         same = isinstance(shape, ZernikeSag) and (shape.pupil_radius, shape.obscuration) == (
             form.pupil_radius,
             form.obscuration,
@@ -98,5 +102,14 @@ def _deformed(surface: Surface, numbers: Array) -> Shape:
             return replace(shape, coefficients=tuple(total.tolist()))
     raise UserError(
         f"The surface {surface.name} is a {type(shape).__name__} that deforms; no shape holds both (conics "
-        "that deform by Zernike polynomials or on a grid are known). Displacements, FILE.txt, hold all."
+        "and even aspheres that deform by Zernike polynomials are known, and conics that do on a grid). "
+        "Displacements, FILE.txt, hold all."
     )
+
+
+def _with_zernike(shape: EvenAsphere, form: ZernikeDeformation) -> ZernikeSag:
+    """Return an even asphere by the polynomials that deform it, of which its powers are finite sums."""
+    powers = powers_as_zernike(shape.coefficients, form.pupil_radius) if any(shape.coefficients) else ()
+    if powers and form.obscuration:
+        powers = tuple(transform_coefficients(np.array(powers), 0.0, form.obscuration).tolist())
+    return ZernikeSag(shape.radius, shape.conic, powers, form.pupil_radius, form.obscuration)

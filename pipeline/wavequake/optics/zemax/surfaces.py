@@ -7,6 +7,7 @@ from itertools import zip_longest
 import numpy as np
 
 from wavequake.optics.polynomials.indices import convert_coefficients
+from wavequake.optics.polynomials.transforms import powers_as_zernike
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.shapes.shape import shape_of_type, zemax_types
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, Shape, ZernikeSag
@@ -86,27 +87,8 @@ def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
         coefficients = _from_fringe(row, coefficients)
     powers = [given.get(k, 0.0) * scale ** (1 - 2 * k) for k in _ASPHERE]
     if any(powers):
-        coefficients = _added(coefficients, _as_zernike(powers, norm))
+        coefficients = _added(coefficients, powers_as_zernike(powers, norm))
     return ZernikeSag(radius, conic, coefficients, norm)
-
-
-def _as_zernike(powers: Sequence[float], norm: float) -> tuple[float, ...]:
-    """Return the Noll coefficients of powers rho^2, rho^4, ... (mm), exactly: they are even polynomials.
-
-    The radial polynomial of degree 2 k without azimuth is Legendre's of degree k in 2 rho^2 - 1, its Noll
-    number (2 k)(2 k + 1) / 2 + 1 and its norm sqrt(2 k + 1).
-    """
-    while not powers[-1]:
-        powers = powers[:-1]
-    total = np.polynomial.Polynomial([0.0])
-    square = np.polynomial.Polynomial([0.5, 0.5])  # rho^2 by 2 rho^2 - 1
-    for k, power in enumerate(powers, start=1):
-        total = total + power * norm ** (2 * k) * square**k
-    legendre = np.polynomial.legendre.poly2leg(total.coef)
-    found = np.zeros(len(powers) * (2 * len(powers) + 1) + 1)
-    for k, value in enumerate(legendre):
-        found[k * (2 * k + 1)] = value / math.sqrt(2 * k + 1)
-    return tuple(float(value) for value in found)
 
 
 def _added(one: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:

@@ -19,6 +19,7 @@ from wavequake.mechanics.disturbances.source import Optics, Randoms, Source, reg
 from wavequake.mechanics.disturbances.sources.element_history import own_axis
 from wavequake.mechanics.nodal.results import FORMATS, NodalResults, read_results
 from wavequake.mechanics.nodal.tables import COLUMNS, from_arrays, packed
+from wavequake.mechanics.nodal.temperatures import Thermal, thermal_displacements, thermal_of
 from wavequake.prepared import prepared
 from wavequake.user_files import read_npz
 
@@ -64,6 +65,11 @@ class NodalDisplacements(Source):
         gt=0,
         description="nodes that lie farther from the surface are left out; default: all must lie on it, to "
         "1 % of its radius",
+    )
+    thermal: Thermal | None = Field(
+        default=None,
+        exclude=True,
+        description="the file holds temperatures: what they do to the body whose elements the mesh has",
     )
     load_case: int | None = Field(default=None, description="number of the one to take, where there are more")
     terms: int = Field(default=28, ge=3, le=231, description="Noll coefficients of the figure")
@@ -158,7 +164,11 @@ class NodalDisplacements(Source):
     def embedded(cls, entry: Mapping[str, Any], base: Path) -> dict[str, Any] | None:
         """Return what a file holds, as the arrays that a study keeps."""
         unit, mesh = (entry.get(key) if isinstance(entry.get(key), str) else None for key in ("unit", "mesh"))
-        found = read_results(base / entry["file"], unit, base / mesh if mesh else None)
+        deck = base / mesh if mesh else None
+        if entry.get("thermal") is None:
+            found = read_results(base / entry["file"], unit, deck)
+        else:
+            found = thermal_displacements(base / entry["file"], unit, deck, thermal_of(entry["thermal"]))
         if found.motions.size > MOST_NUMBERS:
             raise UserError(
                 f"{len(found.values)} steps of {len(found.labels)} nodes are {found.motions.size} numbers; "

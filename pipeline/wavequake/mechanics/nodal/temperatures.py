@@ -1,0 +1,134 @@
+"""Temperatures of the nodes of a body, from files, to the displacements of its surface."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import scipy  # its parts load when first used
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.entries import Array, Integers
+from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, read_mesh
+from wavequake.mechanics.importers.units import LENGTH
+from wavequake.mechanics.nodal.expansion import expanded, solid_of
+from wavequake.mechanics.nodal.results import NodalResults, read_written
+from wavequake.mechanics.nodal.step import Kind, Written
+
+Nodes = str | Annotated[tuple[int | str, ...], Field(strict=False)]  # a study file has lists
+_TOGETHER = 1e-4  # of the size of a body: nodes of two files that are one
+
+
+class Thermal(BaseModel):
+    """What temperatures of nodes do to a body, which is of one material and held without strain."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    expansion_per_k: float = Field(ge=-1e-2, le=1e-2, description="coefficient of linear expansion, 1/K")
+    poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
+    reference: float = Field(
+        default=20.0, description="temperature at which the body has its shape, as the file counts them"
+    )
+    nodes: Nodes | None = Field(
+        default=None, description="node set or node numbers of the surface; default: all nodes"
+    )
+    held: Nodes | None = Field(
+        default=None,
+        description="node set or node numbers at kinematic supports, whose mean motion is none; default: the "
+        "body floats",
+    )
+
+
+def thermal_of(given: object) -> Thermal:
+    """Return the section of a disturbance.
+
+    Raises
+    ------
+    UserError
+        If a key is missing or wrong.
+    """
+    try:
+        return Thermal.model_validate(given)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(("thermal", *map(str, first["loc"])))
+        raise UserError(f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}") from None
+
+
+def thermal_displacements(path: Path, unit: str | None, mesh: Path | None, thermal: Thermal) -> NodalResults:
+    """Return the displacements of a surface's nodes by the temperatures of its body's, SI units.
+
+    Parameters
+    ----------
+    path : Path
+        Temperatures per load case or instant, at all nodes of the elements.
+    unit : str
+        Of length, in the mesh, and in a file that does not say it.
+    mesh : Path
+        Deck with the elements of the body.
+
+    Raises
+    ------
+    UserError
+        If a file cannot be read, has no temperatures, or no elements, or a node of them has no temperature.
+    """
+    if mesh is None or unit not in LENGTH:
+        what = (
+            "the key mesh, a deck with the elements of the body" if mesh is None else "unit, that of the mesh"
+        )
+        raise UserError(f"temperatures of {path.name} give displacements of a body: name {what}")
+    grid = read_mesh(mesh)
+    body = solid_of(grid.source, grid.labels, grid.points * LENGTH[unit], grid.cells)
+    kind, values, temperatures = _temperatures(
+        read_written(path), grid, body.points, body.nodes, LENGTH[unit]
+    )
+    held = None if thermal.held is None else chosen_nodes(grid, thermal.held, "held")
+    seen = body.nodes if thermal.nodes is None else chosen_nodes(grid, thermal.nodes, "nodes")
+    if len(loose := np.setdiff1d(seen if held is None else np.append(seen, held), body.nodes)):
+        raise UserError(f"node {grid.labels[loose[0]]} of {grid.source} belongs to no solid element")
+    moved = expanded(
+        body, temperatures - thermal.reference, thermal.expansion_per_k, thermal.poisson_ratio, held
+    )
+    return NodalResults(kind, values, grid.labels[seen], body.points[seen], moved[:, seen])
+
+
+def _temperatures(
+    written: Written, grid: MeshFile, points: Array, nodes: Integers, length: float
+) -> tuple[Kind, Array, Array]:
+    """Return the kind and values of the steps, and temperatures (n, N) at the nodes of a mesh."""
+    steps = [step for step in written.steps if step.is_thermal]
+    if not steps:
+        raise UserError(f"{written.source} holds displacements, no temperatures; leave thermal out")
+    kind: Kind = "time" if any(step.kind == "time" for step in steps) else "case"
+    steps = [step for step in steps if step.kind == kind]
+    temperatures = np.full((len(steps), len(grid.labels)), np.nan)
+    for row, step in enumerate(steps):
+        where, there = _places(written, step.labels, grid, points, length)
+        temperatures[row, where[there]] = step.values[there, 0]
+    bare = np.argwhere(~np.isfinite(temperatures[:, nodes]))
+    if len(bare):
+        step, node = bare[0]
+        raise UserError(
+            f"{written.source} has no temperature of node {grid.labels[nodes[node]]} of {grid.source} at "
+            f"step {step + 1} ({len(bare)} such values); give all of its elements, also amid edges"
+        )
+    values = np.array([step.value if kind == "time" else float(step.number) for step in steps])
+    if kind == "time" and (np.diff(values) <= 0.0).any():
+        raise UserError(f"{written.source}: its instants do not increase")
+    return kind, values, np.nan_to_num(temperatures)
+
+
+def _places(
+    written: Written, labels: Integers, grid: MeshFile, points: Array, length: float
+) -> tuple[Integers, Array]:
+    """Return which node of the mesh each of a step is, by place where it is known, and whether it is one."""
+    if written.points is None or written.labels is None:
+        order = np.argsort(grid.labels)
+        found = order[np.minimum(np.searchsorted(grid.labels, labels, sorter=order), len(order) - 1)]
+        return found, grid.labels[found] == labels
+    order = np.argsort(written.labels)
+    own = written.points[order[np.searchsorted(written.labels, labels, sorter=order)]]
+    away, found = scipy.spatial.cKDTree(points).query(
+        own * (length if written.length is None else written.length)
+    )
+    return found, away <= _TOGETHER * np.ptp(points, axis=0).max()
