@@ -144,6 +144,7 @@ def test_the_limit_is_stated_and_can_be_changed(tmp_path, monkeypatch):
         (b"", "no NumPy .npz file"),
         (zipped(**{f"a{k}": b"" for k in range(10_001)}), "it holds 10001 arrays, 10000 are possible"),
     ],
+    ids=lambda value: "archive" if isinstance(value, bytes) else value,  # an archive holds the time of day
 )
 def test_an_archive_is_what_it_announces(data, words):
     tracemalloc.start()

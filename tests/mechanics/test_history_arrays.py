@@ -112,6 +112,7 @@ def other_file(write):
         (other_file(lambda file: file.writestr("time_s", "0,1")), "'time_s' is no array"),
         (other_file(lambda file: None), "it lacks time_s, the instants; it holds nothing"),
     ],
+    ids=range(7),  # an archive holds the time of day
 )
 def test_what_is_no_file_of_arrays_is_refused(text, complaint):
     with pytest.raises(UserError, match=complaint):
