@@ -13,7 +13,7 @@ import wavequake as wq
 from wavequake import terminal
 from wavequake.campaign.store.manifest import read_manifest, write_manifest
 from wavequake.commands import stores
-from wavequake.kernels.device import devices
+from wavequake.kernels.device import opencl
 from wavequake.workflows.run import finished_study
 from wavequake.workflows.study import load_study
 
@@ -267,14 +267,14 @@ def test_a_report_that_was_cut_off_is_written_by_the_next_run(wavequake, tiny, t
 
 
 def test_a_store_is_reported_where_its_device_is_missing(wavequake, done, monkeypatch):
-    monkeypatch.setattr(devices, "_found", lambda: ())
+    monkeypatch.setattr(opencl, "_found", lambda: ())
     code, out, _ = wavequake("report", done)
     assert code == 0
     assert "pistons" in out
 
 
 def test_without_opencl_the_user_learns_what_to_install(wavequake, tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(devices, "_found", lambda: ())
+    monkeypatch.setattr(opencl, "_found", lambda: ())
     code, _, err = run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=2")
     assert code == terminal.EXIT_BAD_INPUT
     assert "pip install pocl-binary-distribution" in err

@@ -23,7 +23,8 @@ from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
 from wavequake.reduction.reduce import reduce
-from wavequake.report.layout_picture import layout_picture
+from wavequake.report.layout_picture import drawn_layout
+from wavequake.report.page import picture
 from wavequake.workflows.study import bundled_studies, load_study
 
 FACTS = Path(__file__).parents[1] / "data" / "tmt_segments.csv"
@@ -120,7 +121,7 @@ def test_what_has_no_shape_is_told():
     with pytest.raises(UserError, match="tip-tilt-vibration has nothing to be drawn"):
         draw(SHAPELESS)
     study = load_study(SHAPELESS)
-    assert list(layout_picture(xr.Dataset(attrs={"study": study.identity_text()}))) == []
+    assert drawn_layout(xr.Dataset(attrs={"study": study.identity_text()})) is None
 
 
 def test_objects_are_drawn_as_their_names_are():
@@ -183,11 +184,11 @@ def test_files_of_the_command_line(wavequake, tmp_path, monkeypatch):
 def test_every_report_begins_with_what_it_is_about(name):
     """The store keeps the study's identity alone, and that is enough."""
     study = load_study(name, {"model.rings": 3} if name.startswith("mirror") else {})
-    (first,) = layout_picture(xr.Dataset(attrs={"study": study.identity_text()}))
+    first = picture("layout", *drawn_layout(xr.Dataset(attrs={"study": study.identity_text()})))
     assert (first.id, "</svg>" in first.svg) == ("layout", True)
     assert first.points > 300
-    assert list(layout_picture(xr.Dataset(attrs={"study": '{"study": {"workflow": "another"}}'}))) == []
-    assert list(layout_picture(xr.Dataset())) == []
+    assert drawn_layout(xr.Dataset(attrs={"study": '{"study": {"workflow": "another"}}'})) is None
+    assert drawn_layout(xr.Dataset()) is None
 
 
 def test_names_and_numbers_of_an_axis_stand_within_the_figure():

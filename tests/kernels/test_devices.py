@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from wavequake.cli import app
 from wavequake.errors import UserError
-from wavequake.kernels.device import devices
+from wavequake.kernels.device import devices, opencl
 from wavequake.kernels.device.devices import NUMPY, Device, choose_device, list_devices, self_test, self_tests
 from wavequake.kernels.device.example import lens
 from wavequake.kernels.trace.sequential import trace_sequence
@@ -39,14 +39,14 @@ class Platform:
 
 
 def forget_devices():
-    for cached in (devices._seen, devices._trusted, devices.opencl_handle):
+    for cached in (opencl.seen, devices._trusted, opencl.opencl_handle):
         cached.cache_clear()
 
 
 def with_platforms(monkeypatch, platforms):
     monkeypatch.setattr(cl, "get_platforms", lambda: platforms)
     forget_devices()
-    monkeypatch.setattr(devices, "ensure_linker", lambda: None)
+    monkeypatch.setattr(opencl, "ensure_linker", lambda: None)
 
 
 @pytest.fixture(autouse=True)
@@ -71,13 +71,13 @@ def untested(monkeypatch):
 
 
 def test_auto_prefers_a_gpu_then_a_cpu(monkeypatch, untested):
-    monkeypatch.setattr(devices, "_found", lambda: ((CPU, None), (GPU, None)))
+    monkeypatch.setattr(opencl, "_found", lambda: ((CPU, None), (GPU, None)))
     assert choose_device() == GPU
     assert choose_device("cpu") == CPU
     assert choose_device("gpu") == GPU
     assert choose_device("gpu 3000") == GPU
     assert choose_device("numpy") == NUMPY
-    monkeypatch.setattr(devices, "_found", lambda: ((CPU, None),))
+    monkeypatch.setattr(opencl, "_found", lambda: ((CPU, None),))
     assert choose_device("auto") == CPU
 
 
@@ -127,14 +127,14 @@ def test_broken_platforms_and_devices_are_listed_with_the_reason_and_hide_nothin
 
 
 def test_a_request_that_nothing_fits_names_what_there_is(monkeypatch):
-    monkeypatch.setattr(devices, "_found", lambda: ((CPU, None),))
+    monkeypatch.setattr(opencl, "_found", lambda: ((CPU, None),))
     for request in ("gpu", "other", ""):
         with pytest.raises(UserError, match="a processor"):
             choose_device(request)
 
 
 def test_without_opencl_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(devices, "_found", lambda: ())
+    monkeypatch.setattr(opencl, "_found", lambda: ())
     assert list_devices() == [NUMPY]
     assert choose_device("numpy") == NUMPY
     with pytest.raises(UserError, match=r"pip install pocl-binary-distribution.*campaign\.device=numpy"):
@@ -147,7 +147,7 @@ def test_a_device_travels_to_another_process():
 
 @pytest.mark.parametrize("difference", [1e-6, float("nan")])
 def test_a_device_that_computes_something_else_is_refused(monkeypatch, untested, difference):
-    monkeypatch.setattr(devices, "_found", lambda: ((GPU, None),))
+    monkeypatch.setattr(opencl, "_found", lambda: ((GPU, None),))
     monkeypatch.setattr(devices, "self_test", lambda device: difference)
     with pytest.raises(UserError, match=r"computes wrong numbers.*campaign\.device=numpy"):
         choose_device()

@@ -61,11 +61,11 @@ def test_the_name_is_replaced_where_it_stands():
 
 PROGRAM = """
 import pyopencl as cl
-from wavequake.kernels.device import devices
-handle = next((h for d, h in devices._found() if d.platform == devices.POCL), None)
+from wavequake.kernels.device import opencl
+handle = next((h for d, h in opencl._found() if d.platform == opencl.POCL), None)
 if handle is None:
     raise SystemExit("none")
-devices.ensure_linker()
+opencl.ensure_linker()
 cl.Program(cl.Context([handle]), "__kernel void f(__global double *a) { a[get_global_id(0)] += 1; }").build()
 """
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import wavequake as wq
-from wavequake.kernels.device import devices
+from wavequake.kernels.device import opencl
 from wavequake.kernels.device.devices import Device, list_devices, opencl_handle
 from wavequake.report.answers.profile import profile
 
@@ -48,7 +48,7 @@ def test_a_device_with_memory_of_its_own_gives_no_rays_away(tmp_path, monkeypatc
     for kind in ("cpu", "gpu"):
         device = Device(cpu.name, kind, cpu.platform, 1 if kind == "gpu" else cpu.vector_width)
         handle = opencl_handle(cpu)
-        monkeypatch.setattr(devices, "_found", lambda pair=(device, handle): (pair,))
+        monkeypatch.setattr(opencl, "_found", lambda pair=(device, handle): (pair,))
         found[kind] = wq.run("double-gauss", cases=4, store=tmp_path / kind, **options)
     told = {kind: profile(tmp_path / kind) for kind in found}
     assert not [name for name in told["cpu"] if name.startswith("copied")]

@@ -11,13 +11,12 @@ from rich.table import Table
 from wavequake.campaign.store.layout import refuse_older
 from wavequake.campaign.store.store import (
     ERRORS,
-    Manifest,
     open_for_report,
     open_store,
     read_manifest,
 )
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.kernels.device.devices import choose_device
+from wavequake.report.at_hand import device_at_hand
 from wavequake.report.exports.store import export, target_of
 from wavequake.report.written import as_comment, report_path, seal
 from wavequake.workflows.kinds import find_kind
@@ -109,11 +108,3 @@ def export_store(store: Path, path: Path, overwrite: bool = False) -> Path:
     dataset, target = open_store(store), target_of(path, overwrite)
     with _damage_named(store):
         return export(dataset, target, overwrite)
-
-
-def device_at_hand(manifest: Manifest) -> str:
-    """Return the store's own device, or where that is missing one of its kind, or NumPy."""
-    for request in (manifest.device, manifest.device_kind):
-        with suppress(UserError):
-            return choose_device(request).name
-    return "numpy"

@@ -116,9 +116,10 @@ class Page:
 
 def render_page(dataset: xr.Dataset, page: Page) -> str:
     """Return the report of a store as HTML."""
-    from wavequake.report.layout_picture import layout_picture  # it makes a Picture
+    from wavequake.report.layout_picture import drawn_layout  # what draws is slow to load
 
-    page = replace(page, overview=[*layout_picture(dataset), *page.overview])
+    if (layout := drawn_layout(dataset)) is not None:
+        page = replace(page, overview=[picture("layout", *layout), *page.overview])
     if (add_errors := dataset.encoding.get(KNOWN_ERRORS)) is not None:
         page = add_errors(page)
     study = _study(dataset)

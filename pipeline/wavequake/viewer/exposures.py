@@ -17,7 +17,7 @@ from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.telescope import footprints
 from wavequake.optics.wavefronts.record import Wavefront
-from wavequake.report.campaign import device_at_hand
+from wavequake.report.at_hand import device_at_hand
 from wavequake.viewer.chosen import worst_cases
 from wavequake.viewer.film import Array, Map, Stage, Take, map_of, over_pupil, same_reach, zernike_map
 from wavequake.viewer.segments import TO_SKY, stage_of_telescope

@@ -13,7 +13,7 @@ from wavequake.imaging.exposures.exposure_models import cut, full_exposure
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.mechanics.model import Model, ReducedModel
 from wavequake.reduction.metrics import pseudo_frequencies, surface_modes
-from wavequake.report.campaign import device_at_hand
+from wavequake.report.at_hand import device_at_hand
 from wavequake.viewer.chosen import some_cases
 from wavequake.viewer.film import Array, Stage, Take, principal, same_reach, zernike_map
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.store.store import Manifest
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import from_tiles
-from wavequake.report.campaign import device_at_hand
+from wavequake.report.at_hand import device_at_hand
 from wavequake.viewer.chosen import some_cases
 from wavequake.viewer.film import Array, Stage, Take, map_of, over_pupil
 from wavequake.viewer.mirrors import mode_takes, modes_of, side_by_side

@@ -21,7 +21,7 @@ from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.optics.shapes.sag import shape_sag
-from wavequake.report.campaign import device_at_hand
+from wavequake.report.at_hand import device_at_hand
 from wavequake.report.populations import representatives
 from wavequake.report.segments.report import is_reduced
 from wavequake.viewer.chosen import worst_cases

@@ -15,7 +15,7 @@ from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.mechanics.model import Integers
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.states import SurfaceStates
-from wavequake.report.campaign import device_at_hand
+from wavequake.report.at_hand import device_at_hand
 from wavequake.report.loops.telescope import controllers_of, results, telling
 from wavequake.viewer.chosen import worst_cases
 from wavequake.viewer.exposures import MOST_INSTANTS, light_of, m2_map, m2_shapes

@@ -1,21 +1,32 @@
-"""Which device runs the kernels: an OpenCL processor, or NumPy where there is none.
+"""Which device runs the kernels: an OpenCL processor that computes right, or NumPy where there is none."""
 
-A `Device` is a plain description that travels to worker processes; contexts and programs are made lazily in
-the process that uses them (see `wavequake.kernels.device.program`): an OpenCL context does not survive a
-fork.
-"""
-
-from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.linker import ensure_linker
-from wavequake.kernels.device.pocl_processor import name_processor
-from wavequake.kernels.device.threads import pin_each, running_threads
-from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.device.opencl import (
+    NUMPY,
+    POCL,
+    Device,
+    in_one_line,
+    list_devices,
+    opencl_handle,
+    require_device,
+    seen,
+)
+
+__all__ = [
+    "NUMPY",
+    "POCL",
+    "Device",
+    "choose_device",
+    "list_devices",
+    "opencl_handle",
+    "require_device",
+    "self_test",
+    "self_tests",
+]
 
 _NO_OPENCL = (
     "no OpenCL device was found: install the CPU implementation PoCL with "
@@ -23,91 +34,8 @@ _NO_OPENCL = (
 )
 
 
-@dataclass(frozen=True)
-class Device:
-    """A place where kernels run.
-
-    ``kind`` is "cpu", "gpu" or "numpy"; ``vector_width`` counts the instants that one work-item traces: a
-    whole tile on a CPU, one on a GPU.
-    """
-
-    name: str
-    kind: str
-    platform: str
-    vector_width: int
-
-    @property
-    def label(self) -> str:
-        """Platform and name, which tells devices of the same name apart."""
-        return self.name if self.name.startswith(f"{self.platform}: ") else f"{self.platform}: {self.name}"
-
-
-POCL = "Portable Computing Language"
-
 # Of path lengths of tens of meters on a device and on NumPy, mm.
 LARGEST_DIFFERENCE = 1e-9
-
-NUMPY = Device("numpy", "numpy", "NumPy", TILE)
-
-
-def require_device(device: Device) -> None:
-    """Raise UserError unless it is a device."""
-    if not isinstance(device, Device):
-        raise UserError(f"the device is {device!r}; choose_device('auto') returns one")
-
-
-@lru_cache(maxsize=1)
-def _seen() -> tuple[tuple[tuple[Device, Any], ...], tuple[tuple[Device, str], ...]]:
-    """Return every OpenCL device with float64 and its pyopencl handle, and what of OpenCL is broken and why.
-
-    PoCL comes before other implementations for CPUs, so that results do not depend on what else is installed.
-    """
-    try:
-        import pyopencl as cl
-
-        platforms = cl.get_platforms()
-    except Exception:  # no loader or no platform: both mean that there is no OpenCL
-        return (), ()
-    found, broken = [], []
-    for platform in platforms:
-        name = "unnamed"
-        try:
-            name = platform.name.strip()
-            before = running_threads()
-            handles = platform.get_devices()
-            if name == POCL:
-                pin_each(running_threads() - before)
-            for handle in handles:
-                if name == POCL:
-                    name_processor(handle)
-                if handle.double_fp_config and handle.available:
-                    gpu = bool(handle.type & cl.device_type.GPU)
-                    kind, width = ("gpu", 1) if gpu else ("cpu", TILE)
-                    found.append((Device(handle.name.strip(), kind, name, width), handle))
-        except Exception as error:  # a broken driver must not hide the others
-            broken.append((Device("-", "-", name, 1), _words(error)))
-    found.sort(key=lambda pair: pair[0].platform != POCL)
-    places = {(device.name, device.platform) for device, _ in found}
-    shared = [name for name, _ in places]
-    return tuple(
-        (replace(device, name=device.label) if shared.count(device.name) > 1 else device, handle)
-        for device, handle in found  # stores keep the name alone, which must be enough to find it again
-    ), tuple(broken)
-
-
-def _found() -> tuple[tuple[Device, Any], ...]:
-    return _seen()[0]
-
-
-def _words(error: Exception) -> str:
-    """Return an error in one line: what a driver says may be a compiler's whole log."""
-    line = (str(error).strip() or type(error).__name__).splitlines()[0]
-    return line if len(line) <= 160 else line[:157] + "..."
-
-
-def list_devices() -> list[Device]:
-    """Return the devices that can run the kernels; NumPy, which always can, is the last."""
-    return [device for device, _ in _found()] + [NUMPY]
 
 
 def self_tests() -> list[tuple[Device, str]]:
@@ -120,7 +48,7 @@ def self_tests() -> list[tuple[Device, str]]:
             results.append((device, f"unusable: {error}"))
         else:
             results.append((device, f"{difference:.1e}"))
-    return results + [(device, f"unusable: {reason}") for device, reason in _seen()[1]]
+    return results + [(device, f"unusable: {reason}") for device, reason in seen()[1]]
 
 
 def choose_device(request: str = "auto") -> Device:
@@ -143,7 +71,7 @@ def choose_device(request: str = "auto") -> Device:
         raise UserError(f"the device is {request!r}; it must be text, such as 'auto' or 'numpy'")
     if request == "numpy":
         return NUMPY
-    devices = [device for device, _ in _found()]
+    devices = list_devices()[:-1]
     if not devices:
         raise UserError(_NO_OPENCL)
     if request == "auto":
@@ -187,30 +115,13 @@ def _tested(device: Device) -> float:
     except (UserError, MemoryError):
         raise
     except Exception as error:
-        raise UserError(_words(error)) from error
+        raise UserError(in_one_line(error)) from error
     if not difference <= LARGEST_DIFFERENCE:
         raise UserError(
             f"it computes wrong numbers, {difference:.1e} mm off NumPy in its self test "
             f"(at most {LARGEST_DIFFERENCE:g} is allowed)"
         )
     return difference
-
-
-@lru_cache(maxsize=8)
-def opencl_handle(device: Device) -> Any:
-    """Return the pyopencl device that `device` describes.
-
-    Raises
-    ------
-    UserError
-        If this process does not see it, or PoCL has no linker to build kernels with.
-    """
-    for found, handle in _found():
-        if (found.name, found.platform) == (device.name, device.platform):
-            if device.platform == POCL:
-                ensure_linker()
-            return handle
-    raise UserError(f"the OpenCL device {device.label!r} is not visible in this process")
 
 
 def self_test(device: Device) -> float:

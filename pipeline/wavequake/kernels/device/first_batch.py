@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import Device
+from wavequake.kernels.device.opencl import Device
 from wavequake.prepared import preparing
 
 Array = NDArray[np.float64]

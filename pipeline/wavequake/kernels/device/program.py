@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.files import folder
-from wavequake.kernels.device.devices import POCL, Device, opencl_handle
 from wavequake.kernels.device.launches import count_bytes, count_launch, device_seconds
+from wavequake.kernels.device.opencl import POCL, Device, opencl_handle
 from wavequake.kernels.device.pocl_processor import known_processor
 from wavequake.kernels.device.pocl_source import for_pocl, has_wide_vectors
 from wavequake.kernels.device.resident import Resident, exclusive, settled

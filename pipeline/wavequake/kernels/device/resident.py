@@ -12,8 +12,8 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import Device, opencl_handle
 from wavequake.kernels.device.launches import count_bytes
+from wavequake.kernels.device.opencl import Device, opencl_handle
 
 # Of all arrays that stay on devices. The largest trace and the wavefronts made of it take four fifths.
 _KEPT_BYTES = 1 << 29

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from wavequake.kernels.device.devices import POCL, Device, opencl_handle
 from wavequake.kernels.device.launches import count_launch
+from wavequake.kernels.device.opencl import POCL, Device, opencl_handle
 from wavequake.kernels.device.pocl_source import has_wide_vectors
 from wavequake.kernels.device.program import (
     _fetch,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.device.opencl import Device
 from wavequake.kernels.device.program import device_empty, source
 from wavequake.kernels.device.resident import device_of
 from wavequake.kernels.device.steps import Step, run_steps

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import NUMPY, Device, require_device
 from wavequake.kernels.device.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.device.opencl import NUMPY, Device, require_device
 from wavequake.kernels.device.program import aligned_empty, device_copy, source
 from wavequake.kernels.device.resident import floats_for
 from wavequake.kernels.device.steps import Step, run_steps, vector_width

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.kernels.device.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.device.opencl import NUMPY, Device
 from wavequake.kernels.device.program import source
 from wavequake.kernels.device.steps import Step, run_steps, vector_width
 

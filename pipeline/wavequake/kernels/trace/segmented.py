@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.first_batch import COPIES, Pick, compare_rays, is_trusted, shaken
+from wavequake.kernels.device.opencl import Device
 from wavequake.kernels.device.program import aligned_empty, device_empty, launch
 from wavequake.kernels.device.steps import vector_width
 from wavequake.kernels.device.tiles import TILE

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.device.devices import Device, require_device
 from wavequake.kernels.device.first_batch import COPIES, Pick, compare_rays, is_trusted, shaken
+from wavequake.kernels.device.opencl import Device, require_device
 from wavequake.kernels.device.program import aligned_empties, device_empties, launch
 from wavequake.kernels.device.steps import vector_width
 from wavequake.kernels.trace.packing import Layout, packed_elements

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.device.opencl import Device
 from wavequake.kernels.device.program import source
 from wavequake.kernels.device.steps import Step, run_steps, vector_width
 from wavequake.kernels.transforms.folded_numpy import field_numpy, first_finite, pixels_numpy

@@ -9,8 +9,8 @@ import scipy  # its parts load when first used
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import NUMPY, Device, opencl_handle
 from wavequake.kernels.device.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.device.opencl import NUMPY, Device, opencl_handle
 from wavequake.kernels.device.steps import Step, run_steps, vector_width
 from wavequake.kernels.transforms.fourier_source import factors, kernel_source, radices, row_lanes
 

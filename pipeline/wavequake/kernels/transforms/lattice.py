@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from wavequake.kernels.device.devices import Device, opencl_handle
 from wavequake.kernels.device.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.device.opencl import Device, opencl_handle
 from wavequake.kernels.device.program import launch
 from wavequake.kernels.device.steps import vector_width
 from wavequake.kernels.transforms.lattice_numpy import lattice_field, moment_waves

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.device.opencl import Device
 from wavequake.kernels.device.program import device_copy, source
 from wavequake.kernels.device.steps import Step, run_steps
 from wavequake.kernels.device.tiles import TILE

@@ -19,8 +19,7 @@ from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import SystemStates
 from wavequake.optics.wavefronts.fits import fit_instants
 from wavequake.optics.wavefronts.record import Wavefront
-from wavequake.optics.wavefronts.sight import line_of_sight
-from wavequake.optics.wavefronts.wavefront import PreparedSystem, trace_system
+from wavequake.optics.wavefronts.wavefront import PreparedSystem, line_of_sight, trace_system
 
 Array = NDArray[np.float64]
 Move = Callable[[Array], SystemStates]

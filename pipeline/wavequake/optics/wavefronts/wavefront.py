@@ -35,7 +35,6 @@ from wavequake.optics.systems.system import OpticalSystem, SystemStates, wavelen
 from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
 from wavequake.optics.wavefronts.record import Wavefront, joined
 from wavequake.optics.wavefronts.reference_sphere import sphere_radius
-from wavequake.optics.wavefronts.sight import line_of_sight
 from wavequake.optics.wavefronts.slopes import (
     SystemSlopes,
     on_sphere,
@@ -315,6 +314,18 @@ def measure_system(prepared: PreparedSystem, states: SystemStates, device: Devic
     lights = [part for _, part in launches_of(prepared.rays, light, _outputs(prepared))]
     found = [analyse_system(prepared, *traced, device) for traced in trace_lights(prepared, lights, device)]
     return joined(found)
+
+
+def line_of_sight(prepared: PreparedSystem, chief: Array, zernike: Array) -> Array:
+    """Return the image point of the best-fit plane, shape (T, 2), mm (Störkle 2018, Eq. 3.39).
+
+    A tilt that grows by W waves from the pupil's center to its rim moves the image by W wavelengths over the
+    numerical aperture there; the signs of the aperture's direction cosines hold for folded and inverting
+    systems. The tilt of an annular polynomial is steeper by 1 / sqrt(1 + eps^2) (see `los_eq339`).
+    """
+    slope = 2.0 / np.sqrt(1.0 + prepared.system.pupil.obscuration**2) * prepared.wavelength * zernike[:, 1:3]
+    shift: Array = slope @ np.linalg.inv(prepared.cosines) / prepared.image_index
+    return chief + shift
 
 
 def analyse_system(

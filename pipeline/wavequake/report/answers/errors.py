@@ -20,6 +20,7 @@ from wavequake.campaign.store.store import ERRORS, open_store, read_manifest
 from wavequake.campaign.store.whole import read_dataset, write_dataset
 from wavequake.errors import UserError
 from wavequake.prepared import one_thread
+from wavequake.report.at_hand import device_at_hand
 from wavequake.report.plain import Row, groups_of, rows
 from wavequake.report.statistics import quantile
 from wavequake.workflows.kinds import find_kind
@@ -172,8 +173,6 @@ def store_errors(
         If there is no store, nothing in it is done, its cases are drawn near a limit, or `cases` is below 2.
     """
     import xarray as xr
-
-    from wavequake.report.campaign import device_at_hand
 
     if cases < FEWEST:
         raise UserError(f"{cases} cases say nothing of an error; take at least {FEWEST}.")

@@ -17,7 +17,7 @@ from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.errors import UserError
 from wavequake.prepared import one_thread
 from wavequake.report.answers.tail import per_case
-from wavequake.report.campaign import device_at_hand
+from wavequake.report.at_hand import device_at_hand
 from wavequake.report.table import MISSING, number
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.segment_control import MEASURES, modal_numbers

@@ -20,7 +20,7 @@ from wavequake.campaign.store.layout import refuse_older
 from wavequake.campaign.store.retention import kept_result, stored_template
 from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.errors import UserError
-from wavequake.report.campaign import device_at_hand
+from wavequake.report.at_hand import device_at_hand
 from wavequake.report.exports.store import export, target_of
 from wavequake.report.segments.case_detail import detail_of
 from wavequake.workflows.kinds import find_kind

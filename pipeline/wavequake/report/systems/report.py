@@ -47,7 +47,7 @@ from wavequake.workflows.systems.system_bench import (
     system_bench,
     system_states,
 )
-from wavequake.workflows.systems.system_disturbance import draw
+from wavequake.workflows.systems.system_draws import draw
 from wavequake.workflows.systems.system_measure import worst_instant
 
 Array = NDArray[np.float64]

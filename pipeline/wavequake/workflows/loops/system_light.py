@@ -20,7 +20,8 @@ from wavequake.optics.systems.paraxial import paraxial
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, system_states
-from wavequake.workflows.systems.system_disturbance import drawn_with, prepare
+from wavequake.workflows.systems.system_disturbance import prepare
+from wavequake.workflows.systems.system_draws import drawn_with
 from wavequake.workflows.systems.system_streaks import flat, light_gains, streaked_times
 
 # A straight line between two instants is at most this far, rms, off what is seen of a disturbance.

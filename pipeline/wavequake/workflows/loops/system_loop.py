@@ -33,6 +33,7 @@ from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.systems import system_disturbance
 from wavequake.workflows.systems.system_bench import imager_on
+from wavequake.workflows.systems.system_draws import drawn_with
 from wavequake.workflows.systems.system_measure import measured_cases
 from wavequake.workflows.systems.system_measures import axes as system_axes
 from wavequake.workflows.systems.system_streaks import places_between, places_of_rows
@@ -84,7 +85,7 @@ def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[
     times = optics.times[index]
     assert times is not None
     with clock("draw"):
-        shaken = system_disturbance.drawn_with(system, population, realization, FULL)
+        shaken = drawn_with(system, population, realization, FULL)
         disturbance, at_instants = seen_of(optics, index, realization), optics.see(shaken)
         way = None
         if times.between is not None:
@@ -129,7 +130,7 @@ def motion_left(bench: Bench, one: Designed, case: int) -> ElementMotion:
     positions, _, diverged = _positions(bench, one, index, seen_of(optics, index, realization), realization)
     if diverged:
         raise UserError(f"Case {case} diverges under the controller {one.name!r}.")
-    shaken = system_disturbance.drawn_with(optics.bench, population, realization, FULL)
+    shaken = drawn_with(optics.bench, population, realization, FULL)
     return add_elements(shaken, moved(optics, one, positions[times.instants]))
 
 

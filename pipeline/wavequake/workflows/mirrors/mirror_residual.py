@@ -26,8 +26,7 @@ from wavequake.optics.shapes.motion_fit import MotionFit
 from wavequake.optics.shapes.shapes import GridDeformation
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.fits import fit_instants
-from wavequake.optics.wavefronts.sight import line_of_sight
-from wavequake.optics.wavefronts.wavefront import incoming_light, trace_light
+from wavequake.optics.wavefronts.wavefront import incoming_light, line_of_sight, trace_light
 from wavequake.workflows.mirrors.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 
 Array = NDArray[np.float64]

@@ -23,8 +23,7 @@ from wavequake.mechanics.vibration.response import Response, respond
 from wavequake.optics.shapes.fit import apply
 from wavequake.optics.shapes.motion_fit import MotionFit, figures, motion_fit
 from wavequake.optics.wavefronts.fits import fit_instants
-from wavequake.optics.wavefronts.sight import line_of_sight
-from wavequake.optics.wavefronts.wavefront import PreparedSystem, trace_light
+from wavequake.optics.wavefronts.wavefront import PreparedSystem, line_of_sight, trace_light
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.words import counted
 from wavequake.workflows.mirrors.mirror_base import driven

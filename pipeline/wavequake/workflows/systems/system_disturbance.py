@@ -4,8 +4,7 @@ One case is one realization of one population of disturbances over its instants;
 all fields and wavelengths.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,31 +12,25 @@ from numpy.typing import NDArray
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Measure
-from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import noise_of, seen
 from wavequake.chain.images.system import SystemImager
 from wavequake.chain.nodal import nodal_sources
-from wavequake.chain.sampling import Plan, plan_of, replicate_labels
+from wavequake.chain.sampling import replicate_labels
 from wavequake.chain.uncertain import shared_models
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.trace.sequence import bends
-from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.element_motion import (
     ElementDisturbance,
     ElementMotion,
     draw_elements,
 )
 from wavequake.mechanics.disturbances.registry import instants_of
-from wavequake.mechanics.disturbances.source import Source
-from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import rest_states
-from wavequake.prepared import prepared
 from wavequake.words import counted
 from wavequake.workflows.bodies.plants import standing
-from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.segment_modal import MODAL, TRACED
 from wavequake.workflows.systems.system_bench import (
@@ -45,12 +38,11 @@ from wavequake.workflows.systems.system_bench import (
     SystemBench,
     field_name,
     imager_on,
-    layout_of,
     lost_light,
-    plants_of_text,
     system_bench,
     system_states,
 )
+from wavequake.workflows.systems.system_draws import draw, drawn_with, sampling_plan
 from wavequake.workflows.systems.system_measure import See, measured_cases
 from wavequake.workflows.systems.system_measures import axes, fixed, measures
 from wavequake.workflows.systems.system_modal import certificate, model_of, routes
@@ -64,35 +56,6 @@ Array = NDArray[np.float64]
 _NUMBERS = 1 << 20
 
 
-def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMotion]:
-    """Return the population of a case and its motion: of seed, disturbance and realization only."""
-    population, realization, model = slot_of(bench.study, case)
-    return population, drawn_with(bench, population, realization, model)
-
-
-def drawn_with(
-    bench: SystemBench,
-    population: ElementDisturbance,
-    realization: int,
-    model: str,
-    time: Array | None = None,
-    watched: Callable[[Plant], Plant] | None = None,
-) -> ElementMotion:
-    """Return a realization of a population with one of the models that the study compares.
-
-    At its own instants, or at others given as `time`. `watched` gives the plant more outputs, whose motion
-    comes beside that of the elements.
-    """
-    study, streams = bench.study, sampling_plan(bench.text).of(realization)
-    plant = uncertain_plant(bench.plants, study.structure, study.study.seed, realization, model)
-    if plant is not None and watched is not None:
-        plant = watched(plant)
-    layout = replace(bench.layout, plant=plant)
-    return draw_elements(
-        study.disturbance, population, study.study.seed, realization, streams, time, layout=layout
-    )
-
-
 def sight_between(
     bench: SystemBench, population: ElementDisturbance, realization: int, model: str
 ) -> Array | None:
@@ -101,27 +64,6 @@ def sight_between(
     if at is None:
         return places_of_rows(bench, population, drawn_with(bench, population, realization, model))
     return places_between(bench, at.shape, drawn_with(bench, population, realization, model, at.ravel()))
-
-
-@prepared(maxsize=2)
-def sampling_plan(study_text: str) -> Plan:
-    """Return what spreads the random numbers of the study with this identity text.
-
-    Raises
-    ------
-    UserError
-        If they are too many for the plan that the study asks for.
-    """
-    study = study_from_identity(SystemStudy, study_text)
-    singles = [entry for entry in study.disturbance if isinstance(entry, Source)]
-    layout = replace(layout_of(study, build(study.system)), plant=plants_of_text(study_text).get(FULL))
-
-    def draw_all(streams: Streams) -> None:
-        for entry in (one for one in singles if one.random):
-            draw_elements(singles, entry, study.study.seed, 0, streams, layout=layout)
-
-    shares = [entry.share for entry in study.disturbance]
-    return plan_of(study.campaign, study.study.seed, shares, draw_all, singles)
 
 
 def prepare(study: SystemStudy) -> SystemBench:

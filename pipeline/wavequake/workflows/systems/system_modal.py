@@ -38,6 +38,7 @@ from wavequake.workflows.systems.system_bench import (
     system_bench,
     system_states,
 )
+from wavequake.workflows.systems.system_draws import drawn_with
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -135,8 +136,6 @@ def model_of(study_text: str, device_name: str) -> SystemModel:
     UserError
         If nothing moves, something deforms on a grid, or there are no derivatives.
     """
-    from wavequake.workflows.systems.system_disturbance import drawn_with  # it computes with this
-
     bench, device = system_bench(study_text), choose_device(device_name)
     columns = _columns(bench)
     for population in bench.study.disturbance:
