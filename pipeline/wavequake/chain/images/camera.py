@@ -5,14 +5,13 @@ The same for every optics: a system's fields or the one of a segmented telescope
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from wavequake.campaign.measures import Axis, Measure
+from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.schema import Section
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.detector import detector_pixels, expected_photons, pixels_across, read_out
@@ -153,12 +152,12 @@ def camera_measures(
             ("sparrow", "lambda/D", "distance of two points that just have no saddle (Sparrow)"),
             ("mtf50", "D/lambda", "frequency at which the exposure leaves half of the contrast"),
         ):
-            yield Measure(name, units, words + "; NaN beyond the frame", (*over, "axis"), itemgetter(name))
+            yield stored(name, units, words + "; NaN beyond the frame", (*over, "axis"))
     if detector is not None:
         words = "electrons that the detector reads, noise included"
-        yield Measure("counts", "1", words, (*over, "detector_y", "detector_x"), itemgetter("counts"))
+        yield stored("counts", "1", words, (*over, "detector_y", "detector_x"))
         words = "signal of the brightest pixel over its noise, expected"
-        yield Measure("snr", "1", words, over, itemgetter("snr"))
+        yield stored("snr", "1", words, over)
 
 
 def frame_axes(pixels: int, sampling: float) -> dict[str, Axis]:

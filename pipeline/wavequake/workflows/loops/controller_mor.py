@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.measured import Block, CaseTable, study_kind
-from wavequake.campaign.measures import Axis, Measure
+from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.linear import LinearModel
 from wavequake.control.linear import in_units as model_in_units
@@ -245,81 +245,67 @@ def _rms(gram: Array, covariance: Array) -> float:
     return _NM * float(np.sqrt(max(np.sum(gram * covariance), 0.0)))
 
 
-def _said(name: str, units: str, words: str, dims: tuple[str, ...] = (), measured: bool = False) -> Measure:
-    return Measure(name, units, words, dims, _Taken(name), measured=measured)
-
-
-class _Taken:
-    """Take one array of what a case computed, by its name."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __call__(self, found: Mapping[str, Array]) -> Array:
-        return found[self.name]
-
-
 def measures(bench: Bench) -> Iterable[Measure]:
     """Return what is stored of a case."""
     return (
-        _said("order", "1", "coordinates of the variant"),
-        _said("reduce_seconds", "s", "time of the reduction", measured=True),
-        _said("error_median", "1", "relative error of the open-loop transfer function in the band, median"),
-        _said("error_max", "1", "relative error of the open-loop transfer function in the band, largest"),
-        _said("error_beyond", "1", "the same from the band's end to reduction.beyond_hz, largest"),
-        _said(
+        stored("order", "1", "coordinates of the variant"),
+        stored("reduce_seconds", "s", "time of the reduction", measured=True),
+        stored("error_median", "1", "relative error of the open-loop transfer function in the band, median"),
+        stored("error_max", "1", "relative error of the open-loop transfer function in the band, largest"),
+        stored("error_beyond", "1", "the same from the band's end to reduction.beyond_hz, largest"),
+        stored(
             "mode_shift",
             "1",
             "|dw/w| of each mode of the full model in the variant; NaN: not in it",
             ("mode",),
         ),
-        _said(
+        stored(
             "shift_over_zeta",
             "1",
             "largest |dw/w| of the modes in the band, as a share of their damping ratio",
         ),
-        _said("missing_modes", "1", "modes of the full model in the band that the variant has not"),
-        _said("stable", "1", "1 where the loop with the full model is stable"),
-        _said("unstable_poles", "1", "poles of that loop that do not decay"),
-        _said("growth", "1/s", "largest real part of its poles"),
-        _said("growth_hz", "Hz", "frequency of that pole"),
-        _said(
+        stored("missing_modes", "1", "modes of the full model in the band that the variant has not"),
+        stored("stable", "1", "1 where the loop with the full model is stable"),
+        stored("unstable_poles", "1", "poles of that loop that do not decay"),
+        stored("growth", "1/s", "largest real part of its poles"),
+        stored("growth_hz", "Hz", "frequency of that pole"),
+        stored(
             "growth_full",
             "1/s",
             "the same of an unstable pole by Newton's iteration with all degrees of freedom",
         ),
-        _said("controller_growth", "1/s", "largest real part of the controller's own poles"),
-        _said(
+        stored("controller_growth", "1/s", "largest real part of the controller's own poles"),
+        stored(
             "truncation", "1", "certificate: below 1 the modes left out change no number of unstable poles"
         ),
-        _said("pole_real", "1/s", "real parts of the least damped poles", ("pole",)),
-        _said("pole_hz", "Hz", "frequencies of the least damped poles", ("pole",)),
-        _said("spill_mode", "1", "number of the mode that grows; NaN: none"),
-        _said("spill_hz", "Hz", "its frequency"),
-        _said("spill_share", "1", "its share of the energy of all modes of the growing motion"),
-        _said(
+        stored("pole_real", "1/s", "real parts of the least damped poles", ("pole",)),
+        stored("pole_hz", "Hz", "frequencies of the least damped poles", ("pole",)),
+        stored("spill_mode", "1", "number of the mode that grows; NaN: none"),
+        stored("spill_hz", "Hz", "its frequency"),
+        stored("spill_share", "1", "its share of the energy of all modes of the growing motion"),
+        stored(
             "spill_shift", "1", "its |dw/w| in the variant as a share of its damping ratio; NaN: not in it"
         ),
-        _said("sensitivity_peak", "1", "largest singular value of (I + G H)^-1 over frequency"),
-        _said("sensitivity_hz", "Hz", "where it is"),
-        _said("gain_up", "1", "factor of all gains at which the loop becomes unstable, above 1"),
-        _said("gain_down", "1", "the same below 1; 0: none"),
-        _said("phase_margin", "deg", "phase of all channels at which the loop becomes unstable"),
-        _said("delay_margin", "ms", "delay of all channels at which the loop becomes unstable"),
-        _said("last_hz", "Hz", "highest frequency at which the loop gain reaches 1"),
-        _said("wavefront_open", "nm", "rms of the wavefront over surface and time without a controller"),
-        _said("wavefront", "nm", "rms of the wavefront over surface and time in the loop, piston included"),
-        _said("figure", "nm", "the same with piston, tip and tilt taken out"),
-        _said(
+        stored("sensitivity_peak", "1", "largest singular value of (I + G H)^-1 over frequency"),
+        stored("sensitivity_hz", "Hz", "where it is"),
+        stored("gain_up", "1", "factor of all gains at which the loop becomes unstable, above 1"),
+        stored("gain_down", "1", "the same below 1; 0: none"),
+        stored("phase_margin", "deg", "phase of all channels at which the loop becomes unstable"),
+        stored("delay_margin", "ms", "delay of all channels at which the loop becomes unstable"),
+        stored("last_hz", "Hz", "highest frequency at which the loop gain reaches 1"),
+        stored("wavefront_open", "nm", "rms of the wavefront over surface and time without a controller"),
+        stored("wavefront", "nm", "rms of the wavefront over surface and time in the loop, piston included"),
+        stored("figure", "nm", "the same with piston, tip and tilt taken out"),
+        stored(
             "wavefront_promised",
             "nm",
             "the same of the variant with its own controller, as a designer would see",
         ),
-        _said("force", "N", "rms of the forces together"),
-        _said("loop_gain", "1", "sizes of the eigenvalues of the loop gain", ("frequency", "channel")),
-        _said("loop_phase", "deg", "phases of the eigenvalues of the loop gain", ("frequency", "channel")),
-        _said("sensitivity", "1", "largest singular value of S = (I + G H)^-1", ("frequency",)),
-        _said("complementary", "1", "largest singular value of T = I - S", ("frequency",)),
+        stored("force", "N", "rms of the forces together"),
+        stored("loop_gain", "1", "sizes of the eigenvalues of the loop gain", ("frequency", "channel")),
+        stored("loop_phase", "deg", "phases of the eigenvalues of the loop gain", ("frequency", "channel")),
+        stored("sensitivity", "1", "largest singular value of S = (I + G H)^-1", ("frequency",)),
+        stored("complementary", "1", "largest singular value of T = I - S", ("frequency",)),
     )
 
 

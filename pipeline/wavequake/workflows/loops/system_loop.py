@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measured import Block, CaseTable, study_kind
-from wavequake.campaign.measures import Axis, Measure
+from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import noise_of, seen
 from wavequake.chain.loops.designed import Designed, readings_of
@@ -187,16 +187,6 @@ _OWN = (
 )
 
 
-class _Taken:
-    """Take one array of what a case came to, by its name."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __call__(self, found: Mapping[str, Array]) -> Array:
-        return found[self.name]
-
-
 def measures(bench: Bench) -> Iterator[Measure]:
     """Yield the measures of ``system-disturbance`` under every controller, and what loops add."""
     for one in system_disturbance.measures_of(bench.optics.bench):
@@ -205,7 +195,7 @@ def measures(bench: Bench) -> Iterator[Measure]:
         else:
             yield replace(one, dims=("controller", *one.dims))
     for name, units, words in _OWN:
-        yield Measure(name, units, words, ("controller",), _Taken(name))
+        yield stored(name, units, words, ("controller",))
 
 
 def axes(bench: Bench) -> dict[str, Axis]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.measured import Block, CaseTable, study_kind
-from wavequake.campaign.measures import Axis, Measure
+from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import frame_axes
 from wavequake.chain.images.coherent import mean_image
@@ -232,16 +232,6 @@ def _object(
     return {"object_image": mean_image(lit, [phases[:traced]])}
 
 
-class _Taken:
-    """Take one array of what a batch came to, by its name."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __call__(self, found: Mapping[str, Array]) -> Array:
-        return found[self.name]
-
-
 _MEASURES = (
     ("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4, by linear light", ("time",)),
     (
@@ -267,12 +257,12 @@ _OF_TRACES = (
 
 def measures(bench: Bench) -> Iterable[Measure]:
     """Return what is stored of a case."""
-    yield Measure("time_s", "s", "time of the instant", ("time",), _Taken("time_s"), coordinate=True)
+    yield stored("time_s", "s", "time of the instant", ("time",), coordinate=True)
     for name, units, words, dims in _MEASURES + (_OF_TRACES if bench.study.look.traced else ()):
-        yield Measure(name, units, words, ("controller", *dims), _Taken(name))
+        yield stored(name, units, words, ("controller", *dims))
     if bench.study.object is not None:
         words = "exposed image of " + lit_object_words(bench.study.object)
-        yield Measure("object_image", "1", words, ("controller", "y", "x"), _Taken("object_image"))
+        yield stored("object_image", "1", words, ("controller", "y", "x"))
 
 
 def axes(bench: Bench) -> Mapping[str, Axis]:

@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.measured import Block, CaseTable, study_kind
-from wavequake.campaign.measures import Axis, Measure
+from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.frames.controllers import (
     FrameController,
@@ -310,16 +310,6 @@ def frame_means(bands: Bands, frame: float, count: int, random: np.random.Genera
     return found
 
 
-class _Taken:
-    """Take one array of what a case computed, by its name."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __call__(self, found: Mapping[str, Array]) -> Array:
-        return found[self.name]
-
-
 def measures(bench: Bench) -> Iterable[Measure]:
     """Return what is stored of a case."""
     for name, units, words, dims in (
@@ -338,7 +328,7 @@ def measures(bench: Bench) -> Iterable[Measure]:
         ("rejection", "1", "what is left of frame means at a frequency, |S|", ("frequency",)),
         ("cumulative", "mas", "rms of what is left below a frequency, noise from the start", ("frequency",)),
     ):
-        yield Measure(name, units, words, dims, _Taken(name))
+        yield stored(name, units, words, dims)
 
 
 def axes(bench: Bench) -> Mapping[str, Axis]:

@@ -6,12 +6,11 @@ whose motion is too large for the model is traced in full instead. Both depend o
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.measures import Measure
+from wavequake.campaign.measures import Measure, stored
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import ElementMotion
@@ -227,22 +226,18 @@ def _errors_of(study: SystemStudy) -> dict[str, str]:
 
 def modal_measures(study: SystemStudy) -> Iterator[Measure]:
     """Yield what tells of the modal model's error."""
-    yield Measure(
-        "traced",
-        "1",
-        "0: numbers of the modal model; 1: of the modal model, and traced in full to measure its error; 2: "
-        "of full traces, as the motion is beyond the model's range",
-        (),
-        itemgetter("traced"),
-        dtype="int8",
+    words = (
+        "0: numbers of the modal model; 1: of the modal model, and traced in full to measure its error; "
+        "2: of full traces, as the motion is beyond the model's range"
     )
+    yield stored("traced", "1", words, dtype="int8")
     words = (
         "bound of the rms over the rays of the second order that the modal model leaves out, at the primary "
         "wavelength; inf where more moves than it knows"
     )
-    yield Measure("modal_bound", "nm", words, (), itemgetter("modal_bound"))
+    yield stored("modal_bound", "nm", words)
     for name, unit in _errors_of(study).items():
         words = (
             f"largest error of the {name} of the modal model in the case, where it was traced to measure it"
         )
-        yield Measure(f"modal_error_{name}", unit, words, (), itemgetter(f"modal_error_{name}"))
+        yield stored(f"modal_error_{name}", unit, words)
