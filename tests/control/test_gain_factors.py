@@ -27,12 +27,26 @@ def loop_of(seed):
 def test_passing_over_factors_changes_no_margin(monkeypatch):
     loops = [loop for loop in map(loop_of, range(16)) if abs(worst_pole(loop).value) < 1.0]
     assert len(loops) > 4
+    choose, given = margins._worth_trying, []
+    monkeypatch.setattr(margins, "_worth_trying", lambda *asked: given.append(asked) or choose(*asked))
     found = [sampled_margins(loop) for loop in loops]
     monkeypatch.setattr(margins, "_worth_trying", lambda loci, factors: factors)
     for one, loop in zip(found, loops, strict=True):
         whole = sampled_margins(loop)
         assert one.gain_up == pytest.approx(whole.gain_up, rel=1e-9)
         assert one.gain_down == pytest.approx(whole.gain_down, rel=1e-9)
+    # No factor is passed over beside which stability changes, at the first margin or behind it.
+    monkeypatch.undo()
+    changes = 0
+    for number, (loci, factors) in enumerate(given):
+        tried = np.isin(factors, margins._worth_trying(loci, factors))
+        loop = loops[number // 2]
+        stable = np.array([abs(worst_pole(loop, factor).value) < 1.0 for factor in factors])
+        at = np.flatnonzero(stable[1:] != stable[:-1])
+        changes += len(at)
+        assert tried[at].all()
+        assert tried[at + 1].all()
+    assert changes >= len(loops)
 
 
 def test_a_short_range_of_unstable_gains_is_not_passed_over():

@@ -10,7 +10,8 @@ from wavequake.kernels.device import opencl
 from wavequake.kernels.device.devices import Device, list_devices, opencl_handle
 from wavequake.report.answers.profile import profile
 
-SMALL = {"optics.rays": 40, "store.chunk_cases": 2}
+SMALL = {"optics.rays": 40, "store.chunk_cases": 2, "imaging.pixels": 16}
+SMALL |= {"disturbance.vibration.instants": 8, "disturbance.all.instants": 8}
 
 
 def test_kinds_of_work_and_kernels_have_their_shares(tmp_path):

@@ -51,6 +51,7 @@ name = "mirrors"
 workflow = "system-disturbance"
 [system]
 name = "euv"
+fields_mm = [[0.0, 117.0], [0.0, 123.0]]
 [optics]
 rays = 60
 [wavefront]

@@ -89,7 +89,7 @@ def test_where_workers_would_not_do_it_runs_serially_and_says_so(tmp_path, befor
 
 
 def test_one_chunk_of_cases_starts_no_workers(tmp_path, capsys):
-    few = {"optics__rays": 60, "wavefront__zernike_terms": 11}
+    few = {"optics__rays": 60, "wavefront__zernike_terms": 11, "imaging__pixels": 8}
     found = wq.run("double-gauss", cases=2, store=tmp_path / "s", workers=2, **few)
     assert np.isfinite(found.wfe_rms.isel(time=0)).all()
     (log,) = (tmp_path / "s" / "log").glob("*.log")
