@@ -56,6 +56,26 @@ def test_perfect_controllers_are_the_limits_of_the_thesis(dataset):
     assert elastic["peak"].min() > dataset.sel(controller="off")["peak"].max()
 
 
+def test_a_run_that_is_interrupted_goes_on_with_the_same_bits(tmp_path, dataset, monkeypatch):
+    """It ends in the second of two chunks; the second run computes that one alone."""
+    study, begun, real = small(**{"store.chunk_cases": 1}), [], telescope_loop._batch
+
+    def stopped(bench, index, rows, realizations, device, clock):
+        begun.extend(realizations.tolist())
+        if begun == [0, 1]:
+            raise KeyboardInterrupt
+        return real(bench, index, rows, realizations, device, clock)
+
+    monkeypatch.setattr(telescope_loop, "_batch", stopped)
+    with pytest.raises((KeyboardInterrupt, UserError)):
+        wq.run(study, store=tmp_path / "store", on="serial")
+    wq.run(study, store=tmp_path / "store", on="serial")
+    assert begun == [0, 1, 1]
+    found = wq.open_store(tmp_path / "store").load()
+    for name in ("los", "wfe_rms", "exposure", "traced_los", "limited"):
+        np.testing.assert_array_equal(found[name], dataset[name], err_msg=name)
+
+
 def test_memory_does_not_grow_with_time(tmp_path):
     """Sixteen times as many frames of 16 cases: a small part of what their readings would take."""
     more = """
