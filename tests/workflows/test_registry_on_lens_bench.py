@@ -14,13 +14,14 @@ from wavequake.control.experiment import Plant
 from wavequake.control.linear import linear_model
 from wavequake.control.loop import commands_of, stage_motion
 from wavequake.control.plant import swing
+from wavequake.control.regulator import modal_model, stage_gain
 from wavequake.control.sampled.regulator import shared_filter
 from wavequake.control.sensor import quantized_command
 from wavequake.control.stage import Stage, stage_response
 from wavequake.control.thesis import future_integration
 from wavequake.errors import UserError
 from wavequake.workflows.lens.lens_experiment import KIND, compute
-from wavequake.workflows.lens.lens_loops import beside
+from wavequake.workflows.lens.lens_loops import beside, closed_loops
 from wavequake.workflows.loops.loop_margins import loops_of
 from wavequake.workflows.study import load_study
 
@@ -295,3 +296,66 @@ def test_sensors_that_see_nothing_are_named_before_a_run(tmp_path, sensor, words
     study = study_of(tmp_path, text + LOOP.format(name="a", model="integrator", late=1, more=""))
     with pytest.raises(UserError, match=words):
         KIND.check(study.identity_text())
+
+
+FORWARD = """
+[[sensor]]
+name = "image"
+model = "line-of-sight"
+rate_hz = {rate}
+[[sensor]]
+name = "chain"
+model = "displacement"
+nodes = ["lens-{lens}"]
+rate_hz = {rate}
+noise = 100.0
+[[loop]]
+name = "forward"
+model = "modal"
+sensor = "image"
+also_reads = ["{also}"]
+latency_frames = {late}
+"""
+
+
+@pytest.mark.parametrize(("rate", "late", "share"), [(1000.0, 0.2, 1.0), (500.0, 1.7, 0.3)])
+def test_the_modal_regulator_inverts_what_follows_at_every_pole(tmp_path, rate, late, share):
+    """A mode e^{λt} of lens 4, told by means of frames, moves the stage so that the image stands still."""
+    text = FORWARD.format(rate=rate, late=late, lens=4, also="chain")
+    text = text.replace(f"rate_hz = {rate}", f"rate_hz = {rate}\nintegration = {share}")
+    (one,) = closed_loops(study_of(tmp_path, text).identity_text(), "initial")
+    model, bench = modal_model(fitted_bench()), one.given
+    for pole, image in zip(model.poles, model.image, strict=True):
+        z = np.exp(pole / rate)
+        reading = np.exp(pole * share / rate * (np.arange(4000) + 0.5 - 4000) / 4000).mean()
+        read = bench.decoupling[:, -1] * 1e9 * reading
+        held = bench.c[0] @ np.linalg.solve(z * np.eye(len(bench.a[0])) - bench.a[0], bench.b[0] @ read)
+        command = 1e-6 * (held + bench.d[0] @ read)
+        moved = command[0] * stage_gain(Stage(), np.array([pole]), 1 / rate, late / rate)[0]
+        assert abs(image + SENSITIVITIES[COMPENSATOR] * moved) < 1e-7 * abs(image)
+
+
+def test_a_settled_modal_regulator_leaves_what_holding_its_commands_does(tmp_path):
+    """Of the nominal bench, the hold's saw-tooth: the image's speed over a period, by the root of 12."""
+    free = swing([fitted_bench()], np.ones(1), duration=6.0, keep_lenses=True)
+    text = FORWARD.format(rate=500.0, late=1.7, lens=4, also="chain")
+    _, position = follow(study_of(tmp_path, text, **{"time.duration_s": 6.0}), free)[0]
+    settled = free.time > 4.0
+    left = free.image[0] + SENSITIVITIES[COMPENSATOR] * position
+    ripple = np.sqrt(np.mean(np.gradient(free.image[0], 1e-3)[settled] ** 2)) / 500 / np.sqrt(12)
+    assert ripple < 0.03 * free.image[0][settled].std()
+    assert left[settled].std() < ripple
+
+
+@pytest.mark.parametrize(
+    ("lens", "also", "words"),
+    [
+        (5, "chain", r"forward: 'chain' sees the actuator 'stage', so that it would feed back"),
+        (4, "image", "reads 'image' twice"),
+    ],
+)
+def test_a_modal_regulator_that_would_feed_back_is_refused(tmp_path, lens, also, words):
+    with pytest.raises(UserError, match=words):
+        KIND.check(
+            study_of(tmp_path, FORWARD.format(rate=500.0, late=1, lens=lens, also=also)).identity_text()
+        )

@@ -1,5 +1,7 @@
 """Loops of a telescope in study files: the thesis' limits, traces, bits, several loops at once, reports."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from small_loops import first_case, small, table, written
@@ -14,10 +16,11 @@ from wavequake.cli import app
 from wavequake.control.sampled.readings import means
 from wavequake.control.sampled.stability import Worst
 from wavequake.errors import UserError
+from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.workflows.loops import loop_margins, telescope_loop
 from wavequake.workflows.loops.telescope_bench import bench_of
-from wavequake.workflows.loops.telescope_light import optics_of
+from wavequake.workflows.loops.telescope_light import drawn, optics_of, seen_of
 from wavequake.workflows.loops.telescope_margins import loops
 from wavequake.workflows.loops.telescope_study import LookSection
 
@@ -51,6 +54,60 @@ def test_perfect_controllers_are_the_limits_of_the_thesis(dataset):
     np.testing.assert_allclose(elastic["traced_wfe_rms"], dataset["static_wfe_rms"], rtol=1e-4)
     assert np.abs(elastic["traced_los"]).max() < 1e-4
     assert elastic["peak"].min() > dataset.sel(controller="off")["peak"].max()
+
+
+def test_a_run_that_is_interrupted_goes_on_with_the_same_bits(tmp_path, dataset, monkeypatch):
+    """It ends in the second of two chunks; the second run computes that one alone."""
+    study, begun, real = small(**{"store.chunk_cases": 1}), [], telescope_loop._batch
+
+    def stopped(bench, index, rows, realizations, device, clock):
+        begun.extend(realizations.tolist())
+        if begun == [0, 1]:
+            raise KeyboardInterrupt
+        return real(bench, index, rows, realizations, device, clock)
+
+    monkeypatch.setattr(telescope_loop, "_batch", stopped)
+    with pytest.raises((KeyboardInterrupt, UserError)):
+        wq.run(study, store=tmp_path / "store", on="serial")
+    wq.run(study, store=tmp_path / "store", on="serial")
+    assert begun == [0, 1, 1]
+    found = wq.open_store(tmp_path / "store").load()
+    for name in ("los", "wfe_rms", "exposure", "traced_los", "limited"):
+        np.testing.assert_array_equal(found[name], dataset[name], err_msg=name)
+
+
+def test_memory_does_not_grow_with_time(tmp_path):
+    """Sixteen times as many frames of 16 cases: a small part of what their readings would take."""
+    more = """
+[[sensor]]
+name = "fast"
+model = "wavefront"
+rate_hz = 2000.0
+noise = 1.0
+[[controller]]
+name = "long"
+model = "integrator"
+sensor = "fast"
+actuator = "figure"
+gain = 0.2
+"""
+    slow = {"disturbance.history.low_hz": 0.5, "disturbance.history.high_hz": 2.0, "look.traced": 0}
+    peaks, frames = [], []
+    for duration in (0.5, 8.0):
+        study = written(tmp_path, more, slow | {"disturbance.history.duration_s": duration})
+        bench, rows = bench_of(study), range(telescope_loop.ROWS)
+        one = next(each for each in bench.controllers if each.name == "long")
+        draws = [drawn(study, bench.optics, 0, row) for row in rows]
+        seen = [seen_of(study, bench.optics, draw) for draw in draws]
+        tracemalloc.start()
+        positions, *_ = telescope_loop.positions_of(bench, one, 0, draws, seen, choose_device("numpy"))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert np.ptp(positions[3]) > 0
+        frames.append(2000 * duration)
+    whole = 8 * (frames[1] - frames[0]) * one.loops[0].readings * telescope_loop.ROWS
+    assert whole > 2e7
+    assert peaks[1] - peaks[0] < 0.03 * whole
 
 
 def test_linear_light_is_that_of_traced_rays(dataset):

@@ -13,6 +13,7 @@ from wavequake.control.bench import COMPENSATOR, SENSITIVITIES
 from wavequake.control.linear import Array
 from wavequake.control.regulator import ModalRegulator
 from wavequake.control.sampled.channel import Dynamics, Timing
+from wavequake.control.sampled.readings import Frames
 from wavequake.control.sampled.regulator import Regulator, Stepped, advance, answer, played, start
 from wavequake.control.sampled.run import Actuator, Eye, Loop, Schedule, run, schedule
 from wavequake.control.sensor import quantized_command
@@ -32,7 +33,7 @@ class Follower:
     given : Regulator or Stepped
     timing : Timing
         From a reading to the command's arrival at the stage, whose pure delay comes on top.
-    readings : ndarray, shape (frames, m, c)
+    readings : Frames, shape (frames, m, c)
         Without what the stage does.
     first : float
         When the first of them is read, s; at most a frame after 0.
@@ -45,7 +46,7 @@ class Follower:
     name: str
     given: Regulator | Stepped
     timing: Timing
-    readings: Array
+    readings: Frames
     first: float = 0.0
     eyes: tuple[Eye, ...] = ()
     unit: float = 1.0

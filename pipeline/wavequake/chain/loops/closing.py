@@ -1,6 +1,6 @@
 """What closing a loop takes, whatever the plant: parts that fit, timing, design, and what sensors read."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -8,12 +8,13 @@ from wavequake.chain.loops.block import Controller, Sensor
 from wavequake.chain.loops.design import Array, Design
 from wavequake.chain.loops.light import Light
 from wavequake.control.sampled.channel import Dynamics, Timing
-from wavequake.control.sampled.readings import means
+from wavequake.control.sampled.readings import mean_blocks
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped, shape_of
 from wavequake.control.sampled.run import frame_count
 from wavequake.control.sampled.stability import Worst
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
+from wavequake.prepared import prepared
 
 Given = Regulator | Stepped | Instant | None
 _WHOLE = 1e-9
@@ -125,8 +126,8 @@ def readings(
     light: Light,
     seed: int,
     case: int,
-) -> Array:
-    """Return the readings (frames, m) of a loop's sensors of a disturbance, with their noise.
+) -> Iterator[Array]:
+    """Yield the readings (frames, m) of a loop's sensors of a disturbance, with noise, by blocks of frames.
 
     Parameters
     ----------
@@ -142,17 +143,35 @@ def readings(
     seed, case : int
         Of the noise, which does not depend on the controller.
     """
-    ends: Array = np.arange(1.0, frame_count(timing, time[-1]) + 1) * timing.frame
-    parts = []
-    for sensor, matrix in zip(sensors, matrices, strict=True):
-        clean = _means(time, seen, matrix, ends - timing.integration, ends, sensor.dynamics())
-        random = generator(seed, f"sensor {sensor.name}", case)
-        parts.append(clean + sensor.noise_rms(light) * random.standard_normal(clean.shape))
-    return np.hstack(parts)
+    begins, ends = _spans(timing, frame_count(timing, time[-1]))
+    each = [
+        _means(time, seen, matrix, begins, ends, sensor.dynamics())
+        for sensor, matrix in zip(sensors, matrices, strict=True)
+    ]
+    noises = [generator(seed, f"sensor {sensor.name}", case) for sensor in sensors]
+    sizes = [sensor.noise_rms(light) for sensor in sensors]
+    for blocks in zip(*each, strict=True):
+        yield np.hstack(
+            [
+                clean + size * random.standard_normal(clean.shape)
+                for clean, size, random in zip(blocks, sizes, noises, strict=True)
+            ]
+        )
 
 
-def _means(time: Array, seen: Array, matrix: Array, begins: Array, ends: Array, sensor: Dynamics) -> Array:
-    """Return mean readings (frames, m) of what is seen (n, K)."""
-    if not len(sensor):
-        return np.asarray(means(time, seen, begins, ends) @ matrix.T)
-    return means(time, seen @ matrix.T, begins, ends, sensor)
+@prepared(maxsize=8)
+def _spans(timing: Timing, frames: int) -> tuple[Array, Array]:
+    """Return begins and ends of a sensor's averages, s: one for all cases."""
+    ends: Array = np.arange(1.0, frames + 1) * timing.frame
+    return ends - timing.integration, ends
+
+
+def _means(
+    time: Array, seen: Array, matrix: Array, begins: Array, ends: Array, sensor: Dynamics
+) -> Iterator[Array]:
+    """Yield mean readings (frames, m) of what is seen (n, K), by blocks."""
+    if len(sensor):
+        yield from mean_blocks(time, seen @ matrix.T, begins, ends, sensor)
+        return
+    for block in mean_blocks(time, seen, begins, ends):
+        yield np.asarray(block @ matrix.T)

@@ -16,9 +16,10 @@ from wavequake.chain.loops.light import Light
 from wavequake.chain.loops.structure import Carrying
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import Timing
+from wavequake.control.sampled.readings import Streamed
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
 from wavequake.control.sampled.run import Actuator as Moved
-from wavequake.control.sampled.run import Eye, Loop, Schedule, schedule
+from wavequake.control.sampled.run import Eye, Loop, Schedule, frame_count, schedule
 from wavequake.errors import UserError
 
 
@@ -198,14 +199,23 @@ def assembled(
 
 
 def readings_of(
-    study: LoopBlocks, light: Light, one: Designed, time: Array, seen: Array, seed: int, case: int
-) -> list[Array]:
-    """Return the readings (frames, m) of each loop's sensors of a disturbance, with their noise.
+    study: LoopBlocks,
+    light: Light,
+    one: Designed,
+    cases: Sequence[tuple[Array, Array, int] | None],
+    seed: int,
+) -> list[Streamed]:
+    """Return the readings of each loop's sensors of cases beside each other, with their noise.
 
-    The arguments after the controller are those of `wavequake.chain.loops.closing.readings`.
+    A case is its instants (n,), all that is seen at them (n, K) and its number; None reads zeros.
     """
-    running = study.running(study.part("controller", one.name))
-    return [
-        closing.readings(time, seen, loop.timing, study.sensors(each), matrices, light, seed, case)
-        for each, loop, matrices in zip(running, one.loops, one.readings, strict=True)
-    ]
+    running, found = study.running(study.part("controller", one.name)), []
+    duration = next(case[0][-1] for case in cases if case is not None)
+    for each, loop, matrices in zip(running, one.loops, one.readings, strict=True):
+        sensors = study.sensors(each)
+        blocks = [
+            case and closing.readings(*case[:2], loop.timing, sensors, matrices, light, seed, case[2])
+            for case in cases
+        ]
+        found.append(Streamed(frame_count(loop.timing, duration), loop.readings, blocks))
+    return found

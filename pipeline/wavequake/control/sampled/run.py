@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import RIGID, SAME, Dynamics, Timing
 from wavequake.control.sampled.moving import Channels, Modes, answering, channels
+from wavequake.control.sampled.readings import Frames
 from wavequake.control.sampled.regulator import Regulator, Stepped, advance, start
 
 OPEN, READ, ACT, LOOK = range(4)
@@ -180,7 +181,7 @@ def schedule(timings: Sequence[Timing], looks: Array, jumped: bool = False) -> S
 def run(
     loops: Sequence[Loop],
     events: Schedule,
-    seen: Sequence[Array],
+    seen: Sequence[Frames],
     looks: int,
     structure: Sequence[Dynamics] = (),
     beyond: Callable[[int, int, Array], Array] | None = None,
@@ -192,7 +193,7 @@ def run(
     loops : sequence of Loop
     events : Schedule
         Of their timings.
-    seen : sequence of ndarray, shape (frames, m, cases)
+    seen : sequence of Frames, shape (frames, m, cases)
         Of each loop's sensors: the mean of the disturbance over each frame, with noise.
     looks : int
         Number of instants that are looked at.

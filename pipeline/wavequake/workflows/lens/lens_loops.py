@@ -22,8 +22,9 @@ from wavequake.control.loop import Follower, dynamics_of, follow
 from wavequake.control.plant import FreeRuns
 from wavequake.control.regulator import blow_spectrum
 from wavequake.control.sampled.channel import Timing, in_series
+from wavequake.control.sampled.readings import Streamed
 from wavequake.control.sampled.regulator import Instant, Regulator
-from wavequake.control.sampled.run import Eye
+from wavequake.control.sampled.run import Eye, frame_count
 from wavequake.control.sampled.stability import SampledLoop, Sight, worst_pole
 from wavequake.control.stage import Stage
 from wavequake.errors import UserError
@@ -209,12 +210,14 @@ def _follow(
         closing.readings(runs.time, each, one.timing, one.sensors, one.matrices, LIGHT, seed, case)
         for each, case in zip(seen, cases, strict=True)
     ]
+    frames = frame_count(one.timing, runs.time[-1])
+    streamed = Streamed(frames, sum(len(matrix) for matrix in one.matrices), given)
     eyes = tuple(
         Eye(matrix @ _SIGHT, sensor.quantum, sensor.dynamics())
         for matrix, sensor in zip(one.matrices, one.sensors, strict=True)
     )
     timing = replace(one.timing, latency=one.timing.latency - plants[0].stage.delay)
-    follower = Follower(one.name, one.given, timing, np.stack(given, axis=-1), timing.frame, eyes, 1.0 / _UM)
+    follower = Follower(one.name, one.given, timing, streamed, timing.frame, eyes, 1.0 / _UM)
     return follow(follower, [plant.stage for plant in plants], step, count)
 
 

@@ -144,11 +144,10 @@ def _positions(
         return disturbance[times.looks] @ one.instant.T, np.zeros(()), False
     if not one.loops:
         return np.zeros((len(times.looks), 0)), np.zeros(()), False
-    given = readings_of(
-        study, bench.optics.light, one, times.seen, disturbance, study.study.seed, realization
-    )
+    case = times.seen, disturbance, realization
+    given = readings_of(study, bench.optics.light, one, [case], study.study.seed)
     place = sum(entry.share > 0 for entry in study.disturbance[:index])  # schedules are of those with cases
-    found = run(one.loops, one.schedules[place], [each[..., None] for each in given], len(times.looks))
+    found = run(one.loops, one.schedules[place], given, len(times.looks))
     return np.ascontiguousarray(found.positions[..., 0]), found.limited[0], bool(found.diverged[0])
 
 

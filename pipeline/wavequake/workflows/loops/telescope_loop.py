@@ -114,17 +114,10 @@ def positions_of(
     if not one.loops:
         return [np.zeros((looks, 0))] * count, np.zeros(count), np.zeros(count, bool)
     columns = [case.realization % ROWS for case in draws]
-    study, light = bench.study, bench.optics.light
-    read = [
-        readings_of(study, light, one, case.time, values, study.study.seed, case.realization)
-        for case, values in zip(draws, seen, strict=True)
-    ]
-    given = []
-    for place in range(len(one.loops)):
-        whole = np.zeros((*read[0][place].shape, ROWS))
-        for column, values in zip(columns, read, strict=True):
-            whole[..., column] = values[place]
-        given.append(whole)
+    tile: list[tuple[Array, Array, int] | None] = [None] * ROWS
+    for column, case, values in zip(columns, draws, seen, strict=True):
+        tile[column] = case.time, values, case.realization
+    given = readings_of(bench.study, bench.optics.light, one, tile, bench.study.study.seed)
     traced = bench.study.look.sensors == "traced"
     beyond = beyond_linear(bench, one, draws, seen, columns, device) if traced else None
     found = run(one.loops, one.schedules[index], given, looks, dynamics_of(one.answers), beyond)
