@@ -190,6 +190,7 @@ def test_nodes_stand_in_the_axes_that_their_cards_name(tmp_path):
         ("GRID,1\nCTRIA3,1,1,1,2\n", "line 3: CTRIA3 has fewer nodes than corners"),
         ("GRID,1,5\nCORD2R,5,,0.,0.,0.,0.,0.,1.\n", "line 3: CORD2R 5 needs three points"),
         ("GRID,1,5\nCORD2R,5,,0.,0.,0.,0.,0.,1.,,\n,0.,0.,2.\n", "line 3: CORD2R 5 needs three points"),
+        ("GRID*,1,,x\n", "line 2: 'X' is not a number"),
         ("GRID,1,,x\n", "line 2: 'X' is not a number"),
         ("$ nothing\n", "has no nodes: no GRID card"),
         ("INCLUDE 'bad.bdf'\n", "line 2: bad.bdf includes itself"),

@@ -149,7 +149,8 @@ def read_bulk(path: Path) -> Deck:
     cells: dict[str, list[list[int]]] = {}
     standard = Card("GRDSET", [""] * _FIELDS, 0)
     grids, elements = [], []
-    for card in cards(path):
+    for short in cards(path):
+        card = short._replace(fields=short.fields + [""] * _FIELDS)
         if card.name == "GRID":
             grids.append(card)
         elif card.name == "GRDSET":
