@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.areas import FACETS, area_shares
 from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, read_mesh
+from wavequake.mechanics.nodal.solids import integrated
 
 DECK = """*HEADING
 two hexahedra
@@ -116,6 +117,89 @@ def test_nastran_deck_keeps_node_numbers(tmp_path):
     assert_array_equal(mesh.labels, [5, 9, 70])
     assert_array_equal(mesh.points[2], [0, 1, 0])
     assert_array_equal(mesh.cells["triangle"], [[5, 9, 70]])
+
+
+# A unit cube in Nastran's order: corners, middles below, upright, above (Quick Reference Guide, CHEXA).
+CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5), (2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)]
+WEDGE_EDGES = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)]
+
+
+def bulk_deck(folder, name, points, wide=False):
+    """An element with nodes from 11 on; lines that continue a card begin with blanks alone."""
+    lines = ["SOL 101", "CEND", "BEGIN BULK"]
+    for number, (x, y, z) in enumerate(points, start=11):
+        if wide:
+            lines += [f"GRID*   {number:16d}{'':16s}{x:16.8f}{y:16.8f}*G", f"*G      {z:16.8f}"]
+        else:
+            lines.append(f"GRID,{number},,{x},{y},{z}")
+    fields = [1, 1, *range(11, 11 + len(points))]
+    for first in range(0, len(fields), 8):
+        head = f"{name:8s}" if first == 0 else " " * 8
+        lines.append(head + "".join(f"{field:8d}" for field in fields[first : first + 8]))
+    path = folder / "deck.bdf"
+    path.write_text("\n".join([*lines, "ENDDATA", "no card"]) + "\n")
+    return read_mesh(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "corners", "edges", "volume"),
+    [
+        ("CHEXA", "hexahedron20", CUBE, EDGES, 1.0),
+        ("CPENTA", "wedge15", CUBE[[0, 1, 3, 4, 5, 7]], WEDGE_EDGES, 0.5),
+    ],
+)
+def test_quadratic_solids_of_nastran_are_in_the_order_of_vtk(tmp_path, name, kind, corners, edges, volume):
+    """An element whose nodes are where its shape functions want them has its volume and no fold."""
+    points = np.vstack([corners, [corners[list(edge)].mean(axis=0) for edge in edges]])
+    for wide in (False, True):
+        mesh = bulk_deck(tmp_path, name, points, wide)
+        found = integrated(kind, mesh.points, mesh.cells[kind] - 11)
+        assert found.volumes.sum() == pytest.approx(volume, rel=1e-12)
+        assert_allclose(found.volumes.sum(axis=1), volume)
+        straight = np.einsum("egka,kb->egab", found.gradients, mesh.points[mesh.cells[kind][0] - 11])
+        assert_allclose(straight, np.broadcast_to(np.eye(3), straight.shape), atol=1e-12)
+
+
+def test_continuations_without_a_name_belong_to_their_card(tmp_path):
+    """Eight corners go over two lines; a reader that drops the second makes a wedge of a brick."""
+    mesh = bulk_deck(tmp_path, "CHEXA", CUBE)
+    assert_array_equal(mesh.cells["hexahedron"], [range(11, 19)])
+
+
+def test_nodes_stand_in_the_axes_that_their_cards_name(tmp_path):
+    (tmp_path / "axes.bdf").write_text(
+        "BEGIN BULK\n"
+        "GRDSET,,20,,,,7\n"
+        "CORD2R,10,,1.,2.,3.,1.,2.,4.,,\n+,1.,3.,3.\n"  # origin 1, 2, 3; z stays, x is y
+        "CORD2C,20,10,0.,0.,0.,0.,0.,1.,,\n,1.,0.,0.\n"
+        "CORD2S,30,,0.,0.,0.,0.,0.,1.,,\n,1.,0.,0.\n"
+        "GRID,1,10,1.,0.,0.,0\nGRID,2,,2.,90.,5.\nGRID,3,30,2.,90.,30.,0\nGRID,4,0,1.5-1,2.d0,3,0\n"
+    )
+    mesh = read_mesh(tmp_path / "axes.bdf")
+    exact = [[1, 3, 3], [-1, 2, 8], [np.sqrt(3), 1, 0], [0.15, 2, 3]]
+    assert_allclose(mesh.points, exact, atol=1e-14)
+    assert_array_equal(mesh.turned, [2])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("GRID,1\n=,*1,==\n=3\n", r"line 3: cards that repeat others \(=\)"),
+        ("GRID,1,5\n", "in the axes 5, which no CORD2R"),
+        ("GRID,1\nCTRIA3,1,1,1,2\n", "line 3: CTRIA3 has fewer nodes than corners"),
+        ("GRID,1,5\nCORD2R,5,,0.,0.,0.,0.,0.,1.\n", "line 3: CORD2R 5 needs three points"),
+        ("GRID,1,5\nCORD2R,5,,0.,0.,0.,0.,0.,1.,,\n,0.,0.,2.\n", "line 3: CORD2R 5 needs three points"),
+        ("GRID*,1,,x\n", "line 2: 'X' is not a number"),
+        ("GRID,1,,x\n", "line 2: 'X' is not a number"),
+        ("$ nothing\n", "has no nodes: no GRID card"),
+        ("INCLUDE 'bad.bdf'\n", "line 2: bad.bdf includes itself"),
+    ],
+)
+def test_bulk_data_that_cannot_be_read_is_refused_by_line(tmp_path, text, words):
+    (tmp_path / "bad.bdf").write_text("BEGIN BULK\n" + text)
+    with pytest.raises(UserError, match=words):
+        read_mesh(tmp_path / "bad.bdf")
 
 
 def test_unreadable_mesh(tmp_path):

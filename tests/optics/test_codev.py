@@ -128,7 +128,11 @@ def test_glasses_may_leave_out_hyphens_and_maker():
         ("  K -0.5", "  K -0.5\n  GLB 3.0", r"line 21 \(GLB\): GLB changes the light"),
         ("  STO", "  GRT\n  STO", r"GRT changes the light"),
         ("RDM;", "", r"line 14 \(S\): the file does not say whether it gives radii"),
-        ("REF 2", "REF 2\nZOO 3", "zoom positions"),
+        ("GO", "ZOO 2\nZOO THI S1 1 2 3", "THI has 3 values for 2 zoom positions"),
+        ("GO", "ZOO 2\nZOO GLA S1 'NBK7' 'NSF6'", "the zoom position changes GLA"),
+        ("GO", "ZOO 2\nZOO THI S9 1 2", "there is no surface 9"),
+        ("GO", "ZOO 2\nZOO YAN 1 2", "nothing does not say which it is; F1"),
+        ("REF 2", "REF 2\nPUI 0.135", r"line 8 \(PUI\): the apodization of the pupil"),
         ("NBK7_SCHOTT", "UNOBTAINIUM_SCHOTT", r"line 14 \(GLAS\): surface 1: There is no glass"),
         ("WL 656.3 587.6 &\n   486.1\n", "", "no wavelength"),
         ("DIM M", "DIM K", "the unit 'K' is not known"),
@@ -267,3 +271,93 @@ def test_tilts_without_a_meaning_are_refused(body, message, tmp_path):
     path.write_text(folded(body))
     with pytest.raises(UserError, match=message):
         read_seq(path)
+
+
+# Numbers of KKSDNA.seq, a zoom of four mirrors; on GitHub, in a repository of Optical-DesignerZhu on their
+# automated construction.
+FOUR_MIRRORS = """rdm;len
+epd 20; dim m; wl 587.5618
+xan 0 0; yan -3 0
+so 0 1e13
+s 0 400
+s 6845.93 -367.537 refl
+k 3.81396
+ben
+ade 30
+s 589.797 361.23 refl
+k 9.47672
+ben
+ade -4.16261
+s 105.57 -141.965 refl
+k -18.3315
+ben
+ade 29.95
+s 126.216 82.1242 refl
+k -1.05622
+ben
+ade 9.692
+s 0 20
+sto
+si 0 0
+zoo 2
+zoo epd 20 60
+zoo yan f1 -3 -1
+zoo thi s2 -367.537 -315.138
+zoo thc s2 100 100
+zoo thi s3 361.23 309.476
+zoo thi s4 -141.965 -153.809
+zoo thi s5 82.1242 94.6211
+zoo ade s2 30 30
+zoo adc s2 100 100
+zoo ade s3 -4.16261 -4.865
+zoo ade s4 29.95 31.425
+zoo ade s5 9.692 8.91938
+"""
+
+
+@pytest.mark.parametrize(("position", "focal_length", "field"), [(None, 100, -3), (1, 100, -3), (2, 300, -1)])
+def test_zoom_positions_of_four_mirrors_have_the_focal_lengths_they_were_designed_for(
+    tmp_path, position, focal_length, field
+):
+    path = tmp_path / "zoom.seq"
+    path.write_text(FOUR_MIRRORS)
+    system = read_seq(path, None, position)
+    found = paraxial(system)
+    assert abs(found.focal_length) == pytest.approx(focal_length, rel=1e-5)
+    assert found.f_number == pytest.approx(5.0, rel=1e-5)
+    assert abs(found.defocus) < 1e-4
+    assert np.rad2deg(system.fields[0, 1]) == pytest.approx(field)
+    assert ("The file has 2 configurations; this is number 1" in system.note) == (position is None)
+    with pytest.raises(UserError, match="has 2 zoom positions; there is no number 3"):
+        read_seq(path, None, 3)
+
+
+def test_a_zoom_position_is_the_lens_with_its_numbers_in_place(tmp_path):
+    """Of the lens, of fields and surfaces: their own line, commands behind it, one that was not there."""
+    zooms = (
+        "ZOO 2; ZOO EPD 10 12; ZOO YAN F2 3 4; ZOO VUY F2 0.2 0.1; ZOO RDY S1 61.5 62; ZOO THI S5 80 81\n"
+        "ZOO K S3 -0.5 -0.6; ZOO A S4 1e-6 2e-6; ZOO K S4 0 0.1; ZOO CIR S1 8 9; ZOO WTW 1 1\n"
+    )
+    changed = SEQ
+    for one, other in (
+        ("EPD 10.0", "EPD 12"),
+        ("YAN 0.0 3.0", "YAN 0 4"),
+        ("VUY 0.0 0.2", "VUY 0 0.1"),
+        ("S 61.5 6.0", "S 62 6.0"),
+        ("S 0.0 80.0", "S 0 81"),
+        ("K -0.5", "K -0.6"),
+        ("A 1.0e-6; B 2e-9", "A 2e-6; B 2e-9; K 0.1"),
+        ("CIR 8.0", "CIR 9"),
+    ):
+        assert changed.count(one) == 1
+        changed = changed.replace(one, other)
+    (tmp_path / "zoom.seq").write_text(SEQ.replace("GO\n", zooms))
+    (tmp_path / "plain.seq").write_text(changed)
+    ours, theirs = read_seq(tmp_path / "zoom.seq", None, 2), read_seq(tmp_path / "plain.seq")
+    assert [(one.shape, one.opening) for one in ours.surfaces] == [
+        (o.shape, o.opening) for o in theirs.surfaces
+    ]
+    np.testing.assert_array_equal(ours.surfaces[-1].position, theirs.surfaces[-1].position)
+    np.testing.assert_array_equal(ours.fields, theirs.fields)
+    np.testing.assert_array_equal(ours.vignetting, theirs.vignetting)
+    assert ours.pupil == theirs.pupil

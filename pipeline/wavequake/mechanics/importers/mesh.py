@@ -1,4 +1,4 @@
-"""Node coordinates, node sets and elements of a mesh file: ``.inp`` decks and whatever meshio reads."""
+"""Node coordinates, node sets and elements: decks (``.inp``, ``.bdf``) and whatever meshio reads."""
 
 import difflib
 import io
@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from wavequake.errors import UserError
+from wavequake.mechanics.importers.bulk import read_bulk
 from wavequake.mechanics.importers.entries import Array, Integers, read_bytes
 from wavequake.mechanics.importers.inp import read_deck
 
+BULK = (".bdf", ".nas", ".fem")
 EXPANDED = ("line", "line3", "triangle", "triangle6", "quad", "quad8")
 """Elements (by meshio's names) that CalculiX expands to solids."""
 
@@ -33,6 +35,8 @@ class MeshFile:
         Node numbers of each named set.
     cells : mapping of str to ndarray of int, shape (M, nodes of the element)
         Node numbers of the elements, by meshio's names of their kinds.
+    turned : ndarray of int
+        Numbers of nodes whose displacements stand in axes of their own.
     """
 
     source: str
@@ -40,6 +44,7 @@ class MeshFile:
     points: Array
     sets: Mapping[str, Integers] = field(default_factory=dict)
     cells: Mapping[str, Integers] = field(default_factory=dict)
+    turned: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def expanded(self) -> Integers:
@@ -58,8 +63,12 @@ def read_mesh(path: Path) -> MeshFile:
     UserError
         If the file cannot be read, or coordinates are not finite.
     """
-    deck = path.suffix.lower() == ".inp"
-    mesh = _from_deck(path) if deck else _through_meshio(path)
+    suffix = path.suffix.lower()
+    if suffix in BULK:
+        deck = read_bulk(path)
+        mesh = MeshFile(path.name, deck.labels, deck.points, cells=deck.cells, turned=deck.turned)
+    else:
+        mesh = _from_deck(path) if suffix == ".inp" else _through_meshio(path)
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
     if len(bad):
         raise UserError(f"{path.name}: node {mesh.labels[bad[0]]} has no finite coordinates")
@@ -79,10 +88,6 @@ def _from_deck(path: Path) -> MeshFile:
 
 def _require_end(data: bytes, path: Path) -> None:
     """Raise UserError for what meshio reads without end."""
-    if path.suffix.lower() in (".bdf", ".fem", ".nas"):
-        begin = re.search(rb"^\s*BEGIN BULK", data, re.MULTILINE)
-        if begin and not re.search(rb"^(?!\$|//|#).{4}", data[begin.end() :], re.MULTILINE):
-            raise UserError(f"{path.name} holds no cards after BEGIN BULK")
     if path.suffix.lower() == ".msh" and re.search(rb"^\$[!-~]{200}", data, re.MULTILINE):
         raise UserError(f"{path.name} has a section whose name is longer than 200 characters")
 
@@ -104,8 +109,7 @@ def _through_meshio(path: Path) -> MeshFile:
 def _from_meshio(path: Path, mesh: Any) -> MeshFile:
     points = np.zeros((len(mesh.points), 3))
     points[:, : mesh.points.shape[1]] = mesh.points
-    given = getattr(mesh, "points_id", None)  # of Nastran decks
-    labels = np.arange(1, len(points) + 1) if given is None else np.asarray(given, dtype=np.int64)
+    labels = np.arange(1, len(points) + 1)
     cells: dict[str, list[Integers]] = {}
     for block in mesh.cells:
         cells.setdefault(block.type, []).append(labels[block.data])

@@ -168,6 +168,11 @@ def import_model(
     dof_node = np.full(len(table), -1, dtype=np.int64)
     labeled = table[:, 1] > 0
     dof_node[labeled] = positions(grid, table[labeled, 0], "degree of freedom")
+    if len(own := np.intersect1d(table[labeled, 0], grid.turned)):
+        raise UserError(
+            f"node {own[0]} of {grid.source} moves in axes of its own (GRID, field CD), which are not read; "
+            "write the matrices in the basic ones"
+        )
     optical, mounts = chosen_nodes(grid, surface, "surface"), chosen_nodes(grid, interfaces, "interfaces")
     for what, nodes in (("surface", optical), ("interfaces", mounts)):
         _refuse_fixed(grid, nodes, (dof_node, table[:, 1] - 1), what)

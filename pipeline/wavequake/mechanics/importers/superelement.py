@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.entries import Array, Contents, Entries, Integers, whole_lines
-
-Card = list[str]
+from wavequake.mechanics.importers import bulk
+from wavequake.mechanics.importers.bulk import real, unit_vectors
+from wavequake.mechanics.importers.entries import Array, Contents, Entries, Integers
 
 
 def with_rows(contents: Contents, path: Path) -> Contents:
@@ -29,7 +29,7 @@ def with_rows(contents: Contents, path: Path) -> Contents:
     punch = path.with_suffix(".pch")
     if not punch.is_file():
         return contents
-    cards = _cards(punch)
+    cards = [[card.name, *card.fields] for card in bulk.cards(punch)]
     table = _rows([card for card in cards if card[0] == "EXTRN"], punch.name)
     if not len(table):
         return contents
@@ -38,7 +38,7 @@ def with_rows(contents: Contents, path: Path) -> Contents:
     numbers = np.array([int(card[1]) for card in grids], dtype=np.int64)
     if any(card[2] not in ("", "0") for card in grids):
         raise UserError(f"{punch.name}: points in axes of their own (GRID, field CP) are not read")
-    points = np.array([[_real(word, punch.name) for word in card[3:6]] for card in grids]).reshape(-1, 3)
+    points = np.array([[real(word, punch.name) for word in card[3:6]] for card in grids]).reshape(-1, 3)
     if missing := sorted(set(table[table[:, 1] > 0, 0]) - set(numbers.tolist())):
         raise UserError(f"{punch.name} has no GRID card of point {missing[0]}, which its card EXTRN lists")
     turn = np.eye(len(table))
@@ -80,7 +80,7 @@ def _turned(entries: Entries, turn: Array) -> Entries:
     return Entries(entries.source, rows, columns, dense[rows, columns], len(dense), True)
 
 
-def _rows(cards: list[Card], source: str) -> Integers:
+def _rows(cards: list[list[str]], source: str) -> Integers:
     rows = []
     for card in cards:
         words = [word for word in card[1:] if word]
@@ -91,41 +91,9 @@ def _rows(cards: list[Card], source: str) -> Integers:
     return np.array(rows, dtype=np.int64).reshape(-1, 2)
 
 
-def _axes(card: Card, source: str) -> Array:
+def _axes(card: list[str], source: str) -> Array:
     """Return the unit vectors of a CORD2R card as columns."""
     if card[2] not in ("", "0"):
         raise UserError(f"{source}: the axes {card[1]} stand in other axes (CORD2R, field RID): not read")
-    origin, above, beside = np.array([_real(word, source) for word in card[3:12]]).reshape(3, 3)
-    z = (above - origin) / np.linalg.norm(above - origin)
-    x = (beside - origin) - (beside - origin) @ z * z
-    x = x / np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
-
-
-def _real(word: str, source: str) -> float:
-    """Return a number as Nastran writes it: ``1.5+3`` is 1500."""
-    text = word.upper().replace("D", "E")
-    if "E" not in text:
-        head, sign = text[:1], max(text[1:].rfind("+"), text[1:].rfind("-"))
-        text = head + (text[1:] if sign < 0 else f"{text[1:][:sign]}E{text[1:][sign:]}")
-    try:
-        return float(text)
-    except ValueError as error:
-        raise UserError(f"{source}: {word!r} is not a number; the file may be cut off") from error
-
-
-def _cards(path: Path) -> list[Card]:
-    """Return the cards of a bulk data file in fixed fields, continuations joined."""
-    cards: list[Card] = []
-    for line in whole_lines(path).decode("latin-1").upper().splitlines():
-        if not line.strip() or line.startswith("$"):
-            continue
-        width = 16 if "*" in line[:8] else 8
-        fields = [line[k : k + width].strip() for k in range(8, min(len(line.rstrip()), 72), width)]
-        fields += [""] * (64 // width - len(fields))
-        name = line[:8].strip(" *")
-        if name and not name.startswith("+"):
-            cards.append([name, *fields])
-        elif cards:
-            cards[-1] += fields
-    return cards
+    origin, above, beside = np.array([real(word, source) for word in card[3:12]]).reshape(3, 3)
+    return unit_vectors(origin, above, beside)

@@ -81,13 +81,15 @@ def integrated(kind: str, points: Array, elements: Integers) -> Integrated:
     values, natural = shapes(kind, where)
     jacobians = np.einsum("gkn,ekx->egnx", natural, points[elements], optimize=True)
     determinants = np.linalg.det(jacobians)
-    if not (determinants > 0).all():
-        worst = int(np.argmin(determinants.min(axis=1)))
+    # Nastran takes elements that are numbered the other way round.
+    whole = (determinants > 0).all(axis=1) | (determinants < 0).all(axis=1)
+    if not whole.all():
         raise UserError(
-            f"element {worst + 1} of its {kind}s is folded or flat, or its nodes are in another order"
+            f"element {int(np.argmin(whole)) + 1} of its {kind}s is folded or flat, or its nodes are in "
+            "another order"
         )
     gradients = np.linalg.solve(jacobians[:, :, None], natural[None, ..., None])[..., 0]
-    return Integrated(elements, values, gradients, determinants * weights)
+    return Integrated(elements, values, gradients, np.abs(determinants) * weights)
 
 
 def shapes(kind: str, where: Array) -> tuple[Array, Array]:

@@ -2,8 +2,8 @@
 
 Each command becomes the line of a .zmx file that says the same, with the number of its own line, so that all
 that follows (glasses, fields, beams, problems) is that of `wavequake.optics.zemax.read`. Decenters and tilts
-become coordinate breaks (`wavequake.optics.zemax.codev_tilts`); surfaces that are diffractive or zoomed are
-refused.
+become coordinate breaks (`wavequake.optics.zemax.codev_tilts`), zoom positions are put in place before
+(`wavequake.optics.zemax.codev_zooms`); diffractive surfaces are refused.
 """
 
 import re
@@ -16,6 +16,7 @@ from wavequake.optics.media.glasses import Medium, catalogue, catalogues
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.text_file import read_text
 from wavequake.optics.zemax.codev_tilts import TILTS, Tilt, with_breaks
+from wavequake.optics.zemax.codev_zooms import at_position
 from wavequake.optics.zemax.lens_file import LensFile
 from wavequake.optics.zemax.read import system_of
 from wavequake.optics.zemax.rows import Line, Row, as_number, fail
@@ -33,7 +34,25 @@ _MOVES_LIGHT = frozenset(
 )
 _HARMLESS = frozenset(
     (
-        *("LEN", "WTW", "WTF", "INI", "CCY", "THC", "GLC", "KC", "AC", "BC", "CC", "DC", "SLB", "GO"),
+        *(
+            "LEN",
+            "WTW",
+            "WTF",
+            "INI",
+            "CCY",
+            "THC",
+            "GLC",
+            "KC",
+            "PUI",
+            "PUX",
+            "PUY",
+            "AC",
+            "BC",
+            "CC",
+            "DC",
+            "SLB",
+            "GO",
+        ),
         *("BUF", "UID", "TEM", "DER", "PIM", "CUF", "THF", "CON", "ASP", "SPH", "IN", "OUT", "CUM", "NUM"),
         *("THM", "CLS", "PIK"),
     )
@@ -62,29 +81,38 @@ class _Draft:
         self.rows[-1].lines.setdefault(keyword, []).append(Line(self.where, number, keyword, rest))
 
 
-def read_seq(path: str | Path, glasses: Mapping[str, Medium] | None = None) -> OpticalSystem:
-    """Read a centered system from CODE V's .seq file; as `wavequake.optics.zemax.read.read_zmx`.
+def read_seq(
+    path: str | Path, glasses: Mapping[str, Medium] | None = None, configuration: int | None = None
+) -> OpticalSystem:
+    """Read a system from CODE V's .seq file; as `wavequake.optics.zemax.read.read_zmx`.
+
+    ``configuration`` is a zoom position, from 1.
 
     Raises
     ------
     UserError
         If the file cannot be read, or holds something that is not supported: names the line.
     """
-    return system_of(sequence_file(read_text(path), str(path)), glasses)
+    return system_of(sequence_file(read_text(path), str(path), configuration), glasses, configuration)
 
 
-def sequence_file(text: str, where: str) -> LensFile:
-    """Return the rows that the text of a .seq file describes; `where` names it in messages."""
+def sequence_file(text: str, where: str, position: int | None = None) -> LensFile:
+    """Return the rows that the text of a .seq file describes at a zoom position.
+
+    `where` names it in messages.
+    """
     draft = _Draft(where)
+    zoomed = at_position(list(_commands(text, where)), position)
     private = False
-    for line in _commands(text, where):
+    for line in zoomed.commands:
         private = (private or line.keyword == "PRV") and line.keyword != "END"
         if not private and line.keyword not in ("PRV", "END"):
             _take(draft, line)
     if len(draft.rows) < 2:
         raise UserError(f"{where} is no sequence of surfaces: it needs SO, S and SI at least.")
     _complete(draft)
-    return LensFile(where, draft.header, with_breaks(draft.rows, draft.tilts), ())
+    behind = [Line(where, 0, "MNUM", f"{zoomed.count} {position or 1}")] if zoomed.count > 1 else []
+    return LensFile(where, draft.header, with_breaks(draft.rows, draft.tilts), tuple(behind))
 
 
 def _commands(text: str, where: str) -> Iterator[Line]:
@@ -151,8 +179,8 @@ def _take(draft: _Draft, line: Line) -> None:
         draft.names.add(keyword[1:])
     elif keyword in ("VUX", "VLX", "VUY", "VLY"):
         draft.vignetting[keyword] = [as_number(line, k) for k in range(len(line.words))]
-    elif keyword == "ZOO":
-        fail(line, "zoom positions are not supported; save one of them alone")
+    elif keyword == "PUI" and as_number(line, 0) != 1.0:
+        fail(line, "the apodization of the pupil (PUI) is not supported; choose a uniform one")
     elif draft.rows and _of_surface(draft, line):
         return
     elif keyword in _MOVES_LIGHT:

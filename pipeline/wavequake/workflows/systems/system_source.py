@@ -64,7 +64,7 @@ def load_system(
     is_file, is_system = name.lower().endswith((*LENS_FILES, ".seq")), name in system_names()
     is_study = name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()
     if is_file or (is_system and not (keys and is_study)):
-        configuration = keys.pop("configuration", None) if name.lower().endswith(LENS_FILES) else None
+        configuration = keys.pop("configuration", None) if is_file else None
         if keys:
             raise UserError(f"{name} is no study, so it has no keys to set, such as {next(iter(keys))!r}.")
         if not is_file:
@@ -72,7 +72,7 @@ def load_system(
         if configuration is not None and not (isinstance(configuration, int) and configuration > 0):
             raise UserError(f"The configuration of {name} is {configuration!r}; it must be a number from 1.")
         return (
-            read_seq(name, glasses)
+            read_seq(name, glasses, configuration)
             if name.lower().endswith(".seq")
             else read_zmx(name, glasses, configuration)
         )
