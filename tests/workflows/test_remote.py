@@ -19,6 +19,7 @@ from distributed.security import Security
 
 from wavequake.cluster.address import connected
 from wavequake.cluster.certificate import make_certificate, make_security
+from wavequake.cluster.local import CONNECTIONS_BREAK
 from wavequake.cluster.places import place_of
 from wavequake.cluster.template import Address, read_template, tls_settings
 from wavequake.errors import UserError
@@ -167,6 +168,11 @@ def host(tmp_path):
         yield file
 
 
+# The ssl of Python 3.14 leaves errors of one connection for the next (CPython issue 148594, open).
+breaks = pytest.mark.xfail(CONNECTIONS_BREAK, reason="connections break: CPython issue 148594", strict=False)
+
+
+@breaks
 def test_a_host_on_another_network_gives_the_bits_of_a_serial_run(tmp_path):
     with (
         namespace() as (address, name),
@@ -185,6 +191,7 @@ def listening(dask_worker):
     return {one.laddr.port for one in psutil.Process().net_connections("tcp") if one.status == "LISTEN"}
 
 
+@breaks
 @pytest.mark.parametrize("made", ["for the run", "before"])
 def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host, made):
     if made == "before":
