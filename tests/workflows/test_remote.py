@@ -21,6 +21,7 @@ from distributed.security import Security
 from wavequake.cluster import ssh
 from wavequake.cluster.address import connected
 from wavequake.cluster.certificate import make_certificate, make_security
+from wavequake.cluster.local import CONNECTIONS_BREAK
 from wavequake.cluster.places import place_of
 from wavequake.cluster.template import Address, Ssh, read_template, tls_settings
 from wavequake.errors import UserError
@@ -187,6 +188,8 @@ def listening(dask_worker):
     return {one.laddr.port for one in psutil.Process().net_connections("tcp") if one.status == "LISTEN"}
 
 
+# Where connections break, one of two workers may leave before it is seen: in one of ten tries.
+@pytest.mark.xfail(CONNECTIONS_BREAK, reason="connections break: CPython issue 148594", strict=False)
 @pytest.mark.parametrize("made", ["for the run", "before"])
 def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host, made):
     if made == "before":
