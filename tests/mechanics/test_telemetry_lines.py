@@ -128,7 +128,7 @@ TWINS = [(20.0, 0.002, (3.0, 1.0)), (20.2, 0.002, (2.0, -2.0))]
 
 @pytest.mark.slow
 def test_two_lines_one_percent_apart_come_back_as_often_as_their_intervals_say():
-    """Of 200 records (`make soak`, four minutes) seven of the eight numbers reach 183.
+    """Of 400 records (`make soak`, eight minutes) each of the eight numbers reaches 372, which is 93 %.
 
     Damping is missed where the line that was drawn is off by itself: alone and without noise, where a
     separate fit finds its damping as far from what was asked for.
@@ -147,11 +147,11 @@ def test_two_lines_one_percent_apart_come_back_as_often_as_their_intervals_say()
     assert (np.abs(away.mean(axis=0)) < 3.3 * error).all(), away.mean(axis=0)
     assert (error * np.sqrt(count) < 0.08).all(), error  # what noise and the other line add to 0.18
     held = np.sum(held, axis=0)
-    assert (held >= binom.ppf(0.001, count, 0.95)).all(), held  # 180 of 200
+    assert (held >= binom.ppf(0.001, count, 0.95)).all(), held
     assert 0.875 * 8 * count <= held.sum() <= 0.99 * 8 * count, held  # those of a record are not independent
-    if count == 200:
-        assert np.sum(held >= 183) >= 7, held
-        assert (held <= 199).all(), held
+    if count == 400:
+        assert (held >= 372).all(), held
+        assert (held <= 392).all(), held
 
 
 def damping_alone(seed):

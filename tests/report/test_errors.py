@@ -108,6 +108,13 @@ def test_tables_show_the_errors_that_matter(store):
     assert any("optics.rays=10; optics.rays=20; optics.rays=40" in line for line in errors_notes(found))
 
 
+def test_a_store_that_cannot_be_written_is_refused_before_anything_is_computed(store, monkeypatch):
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    monkeypatch.setattr("wavequake.report.answers.errors.cases_again", None)
+    with pytest.raises(UserError, match="cannot be written, and keeps its errors: copy it"):
+        store_errors(store)
+
+
 def test_the_report_has_the_errors_of_its_store(store, wavequake):
     code, out, _ = wavequake("errors", store, "--cases", 4)
     assert code == 0

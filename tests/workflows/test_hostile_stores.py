@@ -2,8 +2,10 @@
 
 import dataclasses
 import json
+import os
 import resource
 import shutil
+import signal
 from hashlib import sha256
 
 import pytest
@@ -57,6 +59,21 @@ def test_a_digit_that_changes_in_the_journal_costs_one_chunk(done, place):
     assert toy.digests(done) == before
     assert verify_store(done).ok
     assert verify_store(done).torn >= 1
+
+
+@pytest.mark.parametrize("place", ["done/*.jsonl", "data.zarr/*/c.*"])
+def test_nobody_waits_for_a_pipe_in_the_place_of_a_file(done, place):
+    for file in done.glob(place):
+        file.unlink()
+        os.mkfifo(file)
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.alarm(20)
+    try:
+        found = verify_store(done)
+        store_status(done)
+    finally:
+        signal.alarm(0)
+    assert not found.ok
 
 
 def test_lines_of_earlier_versions_without_a_checksum_are_read(done):

@@ -5,7 +5,7 @@ import secrets
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +17,10 @@ from wavequake.cluster.template import Ssh, tls_paths, tls_settings
 from wavequake.errors import UserError
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, SSHCluster
     from distributed.security import Security
+
+_ATTEMPTS = 5
 
 
 @contextmanager
@@ -36,7 +38,7 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
     if find_spec("asyncssh") is None:
         raise UserError("--on ssh needs asyncssh: pip install asyncssh.")
     import dask
-    from distributed import Client, SSHCluster
+    from distributed import SSHCluster
 
     silence()
     environment = " ".join(
@@ -66,7 +68,7 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
         except Exception as error:  # Dask raises plain exceptions where a process does not start
             raise _unreachable(template, error) from None
         try:
-            client = Client(cluster, set_as_default=False)
+            client = _client(cluster, template)
             try:
                 _wait(client, template)
                 yield client
@@ -126,6 +128,20 @@ def _on_hosts(template: Ssh, command: str, text: str = "") -> None:
 
 def _unreachable(template: Ssh, error: Exception) -> UserError:
     return UserError(f"Dask does not start by ssh on {', '.join(template.hosts)}: {error}.")
+
+
+def _client(cluster: "SSHCluster", template: Ssh) -> "Client":
+    """Connect; a connection may break as it is made (`wavequake.cluster.local.CONNECTIONS_BREAK`)."""
+    from distributed import Client
+    from distributed.comm import CommClosedError
+
+    for _ in range(_ATTEMPTS - 1):
+        with suppress(CommClosedError):
+            return Client(cluster, set_as_default=False)
+    try:
+        return Client(cluster, set_as_default=False)
+    except CommClosedError as error:
+        raise _unreachable(template, error) from None
 
 
 def _wait(client: "Client", template: Ssh) -> None:

@@ -153,11 +153,16 @@ def read_journal(folder: Path) -> Journal:
     return journal
 
 
+def _files(folder: Path) -> list[Path]:
+    """Return the regular files of a journal: of a pipe a reader waits for ever."""
+    return sorted(path for path in folder.glob("*.jsonl") if path.is_file())
+
+
 def scan_journal(folder: Path) -> Journal:
     """Read every record of a store, also where some contradict each other; of those chunks none holds."""
     records: list[Record] = []
     torn = 0
-    for path in sorted(folder.glob("*.jsonl")):
+    for path in _files(folder):
         with path.open("rb") as file:
             while line := file.readline(_LONGEST):
                 if line.strip():
@@ -170,7 +175,7 @@ def scan_journal(folder: Path) -> Journal:
 def record_of(folder: Path, chunk: Chunk, epoch: int) -> Record | None:
     """Return the record that a run has made of a chunk, if there is one; parses no other lines."""
     sign = b'{"first":%d,"last":%d,' % chunk
-    for path in folder.glob("*.jsonl"):
+    for path in _files(folder):
         content = path.read_bytes()
         place = content.find(sign)
         while place >= 0:

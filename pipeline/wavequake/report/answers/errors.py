@@ -4,6 +4,7 @@ A sample of the stored cases is computed again, finer and finer, one origin afte
 """
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -170,7 +171,8 @@ def store_errors(
     Raises
     ------
     UserError
-        If there is no store, nothing in it is done, its cases are drawn near a limit, or `cases` is below 2.
+        If there is no store, nothing in it is done, its cases are drawn near a limit, or `cases` is below 2;
+        or if it cannot be written.
     """
     import xarray as xr
 
@@ -182,6 +184,8 @@ def store_errors(
             f"The cases of {store} are drawn near a limit, and others are with other rays or terms: they "
             "have no errors of their own; take those of wavequake run, of the study without [rare]."
         )
+    if not os.access(store, os.W_OK):  # before anything is computed
+        raise UserError(f"{store} cannot be written, and keeps its errors: copy it to where it can.")
     groups = {name: mine for name, mine in groups_of(store, dataset).items() if mine.any()}
     if not groups:
         raise UserError(f"No case of {store} is done, and none has an error; wavequake run computes them.")
