@@ -1,19 +1,25 @@
 """Run the command line as ``wavequake`` or ``python -m wavequake``."""
 
 import gc
+import os
 import signal
 import sys
 import time
 from types import FrameType
 
-# Modules live on: going through all their objects after every 700 new ones takes an eighth of a command.
-_GARBAGE = 50_000
+# Modules live on: going through all their objects after every 700 new ones takes an eighth of a command, and
+# again after every tenth of such looks a twentieth of a report.
+_GARBAGE = 100_000, 50
+# A power of two, processor cycles: BLAS keeps its threads busy waiting for a hundredth of a second after each
+# product, a twentieth of a command that does little else than load.
+_WAITING = ("OPENBLAS_THREAD_TIMEOUT", "16")
 _IMPATIENCE_S = 2.0  # who presses Ctrl-C again while we clean up does not disturb that
 
 
 def main() -> None:
     """Run the command line, which takes a moment to load; SIGTERM and SIGHUP end it as Ctrl-C does."""
-    gc.set_threshold(_GARBAGE)
+    gc.set_threshold(*_GARBAGE)
+    os.environ.setdefault(*_WAITING)
     came: list[float] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:

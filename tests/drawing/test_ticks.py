@@ -10,16 +10,19 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from wavequake.drawing.style import STYLE, svg_text
-from wavequake.drawing.ticks import draw_ticks_at_once
+from wavequake.drawing.ticks import draw_ticks_at_once, in_inches
 
 _SVG = "{http://www.w3.org/2000/svg}"
 
 
-def drawn(quick, limits, right=False, log=False, grid=False):
+def drawn(quick, limits, right=False, log=False, grid=False, inches=False):
     """Return a figure with one set of axes as SVG: our ticks, or matplotlib's."""
     with rc_context(STYLE):
         figure = Figure(figsize=(4, 3))
-        axes = figure.add_axes((0.2, 0.25, 0.6, 0.6))
+        if quick and inches:
+            axes = in_inches(figure, 0.8, 0.75, 2.4, 1.8)
+        else:
+            axes = figure.add_axes((0.2, 0.25, 0.6, 0.6))
         axes.set(xlim=limits[0], ylim=limits[1], xlabel="time (s)", ylabel="height (m)")
         if right:
             axes.yaxis.tick_right()
@@ -32,7 +35,7 @@ def drawn(quick, limits, right=False, log=False, grid=False):
             axes.yaxis.set_minor_formatter(NullFormatter())
         if grid:
             axes.grid(color="#dddddd", lw=0.6)
-        if quick:
+        if quick and not inches:
             draw_ticks_at_once(axes)
         return ElementTree.fromstring(svg_text(figure))
 
@@ -80,6 +83,8 @@ def segments(svg):
         (((0.0, 0.5), (0.0, 2e-6)), {}),
         (((0.0, 3e7), (0.0, 1.0)), {"grid": True}),
         (((5.0, -5.0), (1e-5, 1.0)), {"log": True}),
+        (((0.0, 3e7), (0.0, 1.0)), {"grid": True, "inches": True}),
+        (((5.0, -5.0), (1e-5, 1.0)), {"log": True, "inches": True}),
     ],
 )
 def test_ticks_stand_where_matplotlib_puts_them_and_say_the_same(limits, options):

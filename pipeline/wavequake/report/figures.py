@@ -149,7 +149,6 @@ def history(population: Population) -> Figure:
         _draw_history(axes, population, values)
         axes.set_ylabel(label)
         axes.tick_params(labelbottom=axes is panels[-1])
-        draw_ticks_at_once(axes)
     low, high = _common_limits(panels[1:])
     still = high - low < _ROUNDING
     for axes in panels[1:]:
@@ -181,9 +180,7 @@ def summary_figure(detail: Detail, populations: Sequence[Population]) -> Figure:
 
 
 def _square(figure: Figure) -> Axes:
-    axes = in_inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
-    draw_ticks_at_once(axes)
-    return axes
+    return in_inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
 
 
 def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wavequake.drawing.periodogram import spectrum
 from wavequake.drawing.style import COLORS, HEIGHT, LINES, STYLE, WIDTH
-from wavequake.drawing.ticks import draw_ticks_at_once, in_inches, number_powers
+from wavequake.drawing.ticks import in_inches, number_powers
 
 Array = NDArray[np.float64]
 
@@ -62,8 +62,6 @@ def histories_and_spectra(time: Array, series: Mapping[str, tuple[str, Mapping[s
             right.set_ylim(10.0**first, 10.0**last)
             for axis in (right.xaxis, right.yaxis):
                 number_powers(axis)
-        for axes in (left, right):
-            draw_ticks_at_once(axes)
     return figure
 
 

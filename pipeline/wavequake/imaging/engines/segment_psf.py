@@ -141,10 +141,12 @@ def truncation_error(basis: SegmentBasis | SegmentLattice, segment_phase: Real) 
     ndarray, shape (degrees, batch)
         For 1, 6, 15, ... moments, as many as the basis holds.
     """
-    slopes = np.hypot(segment_phase[..., 1], segment_phase[..., 2])
-    slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-    powers = slopes ** np.arange(1, 2 * len(basis.remainders), 2)[:, None, None]
-    field = (powers * basis.remainders[:, None]).sum(axis=2)
+    along_x, along_y = segment_phase[..., 1], segment_phase[..., 2]
+    squares = np.where(np.isfinite(along_x + along_y), along_x**2 + along_y**2, 0.0)
+    powers, field = np.sqrt(squares), np.empty((len(basis.remainders), len(squares)))
+    for place, remainders in enumerate(basis.remainders):
+        field[place] = np.einsum("bs,s->b", powers, np.broadcast_to(remainders, squares.shape[1:]))
+        powers *= squares
     return np.asarray(field * (2.0 + field))
 
 
