@@ -5,8 +5,10 @@ the process that uses them (see `wavequake.kernels.device.program`): an OpenCL c
 fork.
 """
 
+import sys
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from platform import machine
 from typing import Any
 
 import numpy as np
@@ -17,10 +19,12 @@ from wavequake.kernels.device.pocl_processor import name_processor
 from wavequake.kernels.device.threads import pin_each, running_threads
 from wavequake.kernels.device.tiles import TILE
 
-_NO_OPENCL = (
-    "no OpenCL device was found: install the CPU implementation PoCL with "
-    "`pip install pocl-binary-distribution`, or run without OpenCL with `campaign.device=numpy`"
+_POCL = (
+    "install the CPU implementation PoCL with `pip install pocl-binary-distribution`, or "
+    if sys.platform == "linux" and machine() == "x86_64"
+    else "PoCL's wheel is for Linux on x86_64; take this system's OpenCL or conda-forge's pocl, or "
 )
+_NO_OPENCL = f"no OpenCL device was found: {_POCL}run without OpenCL, slower, with `campaign.device=numpy`"
 
 
 @dataclass(frozen=True)
