@@ -114,7 +114,7 @@ def test_names_complete_in_a_shell():
         asked = {
             "_WAVEQUAKE_COMPLETE": "complete_bash",
             "COMP_WORDS": f"wavequake {words}",
-            "COMP_CWORD": "2",
+            "COMP_CWORD": str(len(words.split(" "))),
         }
         done = subprocess.run(
             [sys.executable, "-c", "from wavequake.cli import app; app(prog_name='wavequake')"],
@@ -129,3 +129,16 @@ def test_names_complete_in_a_shell():
     assert "tmt-million" in bundled_studies()
     for command in ("draw", "new"):
         assert offered(f"{command} ke") == ["keck"]
+    assert offered("run euv --on se") == ["serial"]
+    assert offered("report runs/a --format ") == ["gif", "mp4"]
+
+
+def test_completion_is_installed_under_the_program_s_name(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "wavequake", "--show-completion", "zsh"],
+        env={**os.environ, "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith("#compdef wavequake\n")

@@ -8,6 +8,7 @@
 """
 
 import sys
+import time
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from wavequake.workflows.zernike_arrays import convert_zernike
 
 __version__ = "0.2.0"
+BEGUN = time.monotonic()  # libraries load from here on
 __all__ = [
     "StoreDamageError",
     "Study",

@@ -33,8 +33,10 @@ def main() -> None:
             signal.signal(signal.SIGINT, interrupt)
         signal.raise_signal(signal.SIGINT)
 
+    ends = [one for one in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, one)]  # Windows has no SIGHUP
     # What ends a job on a cluster, and a closed terminal, is to it what Ctrl-C is; `nohup` is obeyed.
-    for number, handler in ((signal.SIGINT, interrupt), (signal.SIGTERM, end), (signal.SIGHUP, end)):
+    for name in ends:
+        number, handler = getattr(signal, name), interrupt if name == "SIGINT" else end
         if number == signal.SIGTERM or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
     try:
@@ -51,8 +53,8 @@ def main() -> None:
 
         interrupted()
     finally:  # nothing is left to be kept: Ctrl-C ends what libraries still do, and needs no words
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, signal.SIG_DFL)
+        for name in ends:
+            signal.signal(getattr(signal, name), signal.SIG_DFL)
         gc.freeze()  # else Python looks for garbage in all that ends with it: up to half a second
 
 

@@ -3,6 +3,7 @@
 import io
 import shlex
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -10,7 +11,7 @@ from typing import Annotated, NoReturn
 import typer
 from rich.table import Table
 
-from wavequake import __version__
+from wavequake import BEGUN, __version__
 from wavequake.campaign.plugins import load_named
 from wavequake.commands import firmware, identify, loops, new, pictures, rare, sensitivity, statistics, stores
 from wavequake.commands.ahead import while_it_runs
@@ -42,7 +43,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-_PLAN_S = 7.5  # with what is loaded before: ten
+_PLAN_S = 9.0  # since the command began; what compiled code is doing then is waited for
 StudyArgument = Annotated[
     str,
     typer.Argument(
@@ -64,7 +65,7 @@ def main(came: Sequence[float] = ()) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no Greek shall not end a run
     try:
-        app(load_named([word for word in sys.argv[1:] if word != "--debug"]))
+        app(load_named([word for word in sys.argv[1:] if word != "--debug"]), prog_name="wavequake")
     except Exception as error:
         if came:
             interrupted()
@@ -201,7 +202,7 @@ def run(
 def plan(
     study: StudyArgument,
     overrides: OverridesArgument = None,
-    store: StoreOption = None,  # so that `run` can be replaced by `plan`; nothing is stored
+    store: StoreOption = None,  # nothing is stored, but an earlier run tells how long it took
     accuracy: Annotated[
         str | None, typer.Option(help="Propose rays, terms, order and cases for it, as '1 %'.")
     ] = None,
@@ -219,7 +220,8 @@ def plan(
         from wavequake.report.answers.accuracy import accuracy_of, plan_accuracy
 
         wanted = accuracy_of(accuracy)
-    print_pairs(plan_study(loaded, None if wait or wanted is not None else _PLAN_S))
+    rest = max(1.0, _PLAN_S - (time.monotonic() - BEGUN))
+    print_pairs(plan_study(loaded, None if wait or wanted is not None else rest, store=store))
     if wanted is not None:
         print_pairs(plan_accuracy(loaded, wanted, measure, [study, *(overrides or [])]))
 

@@ -87,9 +87,11 @@ def lasting(seconds: float) -> str:
 
     Examples
     --------
-    >>> lasting(0.1714), lasting(9.592)
-    ('171 ms', '9.59 s')
+    >>> lasting(0.1714), lasting(9.592), lasting(12345.6)
+    ('171 ms', '9.59 s', '12346 s')
     """
+    if seconds >= 1e3:
+        return f"{seconds:.0f} s"
     return f"{seconds * 1e3:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
 
 

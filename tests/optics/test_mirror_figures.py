@@ -186,7 +186,7 @@ def test_rays_that_a_gap_or_the_image_loses_are_not_vignetted(thesis):
 
 def test_mirrors_without_edges_vignette_nothing(thesis):
     system = thesis.system
-    endless = tuple(replace(surface, semi_diameter=np.inf) for surface in system.surfaces)
+    endless = tuple(replace(surface, opening=None) for surface in system.surfaces)
     bare = prepare(replace(system, surfaces=endless), thesis.rays, WAVELENGTH, TERMS)
     states = rest(TILE, 1, 3)
     states.field[:, 0] = np.deg2rad(15 / 60)

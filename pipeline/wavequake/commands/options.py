@@ -1,5 +1,6 @@
 """Options of the command line."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,15 @@ def folder_named(text: str) -> Path:
     return Path(text)
 
 
+def complete_from(*words: str) -> Callable[[str], list[str]]:
+    """Return what offers a shell those of some words that begin as what is typed."""
+
+    def offered(beginning: str) -> list[str]:
+        return [word for word in words if word.startswith(beginning)]
+
+    return offered
+
+
 StoreOption = Annotated[
     Path | None,
     typer.Option("--store", parser=folder_named, metavar="FOLDER", help="Folder of the store (store.path)."),
@@ -22,7 +32,8 @@ StoreOption = Annotated[
 OnOption = Annotated[
     str,
     typer.Option(
-        help="serial, local, slurm, ssh, kubernetes, or tcp:// or tls://HOST:PORT (docs/clusters.md)."
+        help="serial, local, slurm, ssh, kubernetes, or tcp:// or tls://HOST:PORT (docs/clusters.md).",
+        autocompletion=complete_from("serial", "local", "slurm", "ssh", "kubernetes", "tcp://", "tls://"),
     ),
 ]
 ClusterOption = Annotated[

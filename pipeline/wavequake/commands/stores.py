@@ -7,7 +7,13 @@ from typing import Annotated
 import typer
 
 from wavequake.commands import pictures
-from wavequake.commands.options import ClusterOption, DashboardOption, OnOption, WorkersOption
+from wavequake.commands.options import (
+    ClusterOption,
+    DashboardOption,
+    OnOption,
+    WorkersOption,
+    complete_from,
+)
 from wavequake.errors import UserError
 from wavequake.terminal import (
     EXIT_DAMAGED,
@@ -59,7 +65,12 @@ def report(
         str | None,
         typer.Option("--controller", "--of", help="What of the case: a controller, excitation or mode."),
     ] = None,
-    format: Annotated[str | None, typer.Option(help="Of the animation: gif, or mp4 (by ffmpeg).")] = None,
+    format: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the animation: gif, or mp4 (by ffmpeg).", autocompletion=complete_from("gif", "mp4")
+        ),
+    ] = None,
     by: Annotated[
         str | None, typer.Option(help="Rank disturbances by a stored number, as 'ee80' (and no report).")
     ] = None,

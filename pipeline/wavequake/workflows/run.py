@@ -1,8 +1,6 @@
 """Run and plan a study: the few calls behind ``wavequake run`` and ``wavequake.run``."""
 
 import multiprocessing
-import os
-import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -23,11 +21,14 @@ from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import MANIFEST, open_store, read_manifest
 from wavequake.errors import NoWorkersError, UserError
 from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.kernels.device.threads import available_cpus
+from wavequake.posix import peak_memory_mb
 from wavequake.prepared import one_thread, preparation_seconds
 from wavequake.registry import own_modules
 from wavequake.words import counted, lasting
 from wavequake.workflows.early_notices import early_notices
 from wavequake.workflows.kinds import compared_labels, find_kind
+from wavequake.workflows.known_times import bundled_times, known_times
 from wavequake.workflows.study import chosen_study
 from wavequake.workflows.time_limit import OutOfTimeError, time_limit
 
@@ -233,7 +234,7 @@ def run(
 
 def _why_serial(study: Study, path: Path, workers: int | None) -> str | None:
     """Say why worker processes would not do here, "" if they would be of no use; None if they would."""
-    alone = (workers or len(os.sched_getaffinity(0))) < 2 or study.cases <= chunk_of(study, path)
+    alone = (workers or available_cpus()) < 2 or study.cases <= chunk_of(study, path)
     if alone or choose_device(study.campaign.device).kind == "gpu":
         return ""
     if multiprocessing.current_process().daemon:
@@ -247,7 +248,12 @@ def _why_serial(study: Study, path: Path, workers: int | None) -> str | None:
 
 
 def plan(
-    study: str | Path | Study, seconds: float | None = None, *, cases: int | None = None, **overrides: Any
+    study: str | Path | Study,
+    seconds: float | None = None,
+    *,
+    cases: int | None = None,
+    store: str | Path | None = None,
+    **overrides: Any,
 ) -> dict[str, str]:
     """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored.
 
@@ -255,8 +261,10 @@ def plan(
     ----------
     study : str, Path or Study
     seconds : float, optional
-        Say after this time what is known by then. What is prepared and kept on disk is there the next time.
-    cases, **overrides
+        Say after this time what is known by then; the estimate is then what an earlier run of the study took,
+        or a bundled study where it was measured, or what is left unknown. What is prepared and kept on disk
+        is there the next time.
+    cases, store, **overrides
         As of `run`, which says what it raises.
 
     Examples
@@ -268,15 +276,26 @@ def plan(
     device = choose_device(study.campaign.device)
     known = {"note": "", "study": f"{study.study.name} ({study.identity()[:12]})", "cases": f"{study.cases}"}
     known["device"] = f"{device.name} ({device.kind})"
+    begun = time.perf_counter()
     try:
         with time_limit(seconds):
             for more in _planned(study, device):
                 known |= more
     except OutOfTimeError:
         still = "a case of the pilot runs" if "store" in known else "what all cases share is prepared"
-        late = f"{still} still after {seconds:.3g} s"
-        known["estimate"] = f"not known: {late}; --wait (Python: no seconds) waits"
+        late = (
+            f"{still} still after {lasting(time.perf_counter() - begun)}; --wait (Python: no seconds) waits"
+        )
+        before = known_times(study, study.folder(store))
+        known["estimate"] = f"{before.words(study.cases)}; {late}" if before else _without_times(study, late)
     return {name: words for name, words in known.items() if words}
+
+
+def _without_times(study: Study, late: str) -> str:
+    """Return what is known of the time of a study that nobody has run, with why no more is."""
+    like = bundled_times(study.study.name)
+    words = f"; as it is bundled, {study.study.name} takes {like.words(study.cases)}" if like else ""
+    return f"not known: {late}{words}"
 
 
 def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
@@ -310,10 +329,10 @@ def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
 
     each, pilot = _time_case(fly, min(cases, chunk))
     yield {
-        "memory": f"{_peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
+        "memory": f"{peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
         "one case": f"{lasting(each)} in one process (pilot of {counted(pilot, 'case')}, after set-up)",
         "one chunk": _chunk_advice(cases, chunk, each),
-        "estimate": f"{cases * each:.0f} s of one process",
+        "estimate": f"{lasting(cases * each)} of one process",
     }
 
 
@@ -352,7 +371,3 @@ def _chunk_advice(cases: int, chunk: int, each: float) -> str:
     if chunk < cases and each * chunk < least and each * cases > 10 * least:
         return f"{words}; the store takes a smaller share with store.chunk_cases={round(least / each)}"
     return words
-
-
-def _peak_memory_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -3,7 +3,6 @@
 Locks are the kernel's (flock), so that they end with the process that holds them, however it ends.
 """
 
-import fcntl
 import os
 import re
 import socket
@@ -17,6 +16,7 @@ from wavequake.campaign.store import store
 from wavequake.campaign.store.folder import withdraw as withdraw_store
 from wavequake.campaign.store.journal import Chunk
 from wavequake.errors import UserError
+from wavequake.posix import fcntl
 
 _SETUP = "setup.lock"
 

@@ -6,7 +6,6 @@ to its process (crash, hang, take all memory) it does to one that does nothing e
 
 import multiprocessing
 import os
-import resource
 import signal
 import time
 from dataclasses import dataclass, replace
@@ -28,6 +27,7 @@ from wavequake.campaign.store import fence
 from wavequake.cluster.local import GUARDED, interrupts_blocked, memory_limit, worker_environment
 from wavequake.cluster.output import redirect
 from wavequake.errors import UserError
+from wavequake.posix import resource
 from wavequake.prepared import one_thread
 
 _START_S = 120.0  # for a process to start and to open the store

@@ -10,7 +10,6 @@ clocks of machines differ, and jump.
 """
 
 import errno
-import fcntl
 import json
 import os
 import struct
@@ -22,6 +21,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from wavequake.errors import UserError
+from wavequake.posix import fcntl
 
 FENCE, WRITERS = "fence.json", "writers.lock"
 _WAIT_S, _LOOK_S = 60.0, 0.01

@@ -54,7 +54,6 @@ def read_dataset(target: Path, expected: int) -> "xr.Dataset":
     """
     import xarray as xr
 
-    spare_dask()
     try:
         with arrays.damage_explained(target):
             found: xr.Dataset = xr.open_zarr(target, chunks=None, consolidated=False).load()

@@ -1,6 +1,8 @@
 """Which device runs the kernels: an OpenCL processor that computes right, or NumPy where there is none."""
 
+import sys
 from functools import lru_cache
+from platform import machine
 
 import numpy as np
 
@@ -28,10 +30,12 @@ __all__ = [
     "self_tests",
 ]
 
-_NO_OPENCL = (
-    "no OpenCL device was found: install the CPU implementation PoCL with "
-    "`pip install pocl-binary-distribution`, or run without OpenCL with `campaign.device=numpy`"
+_POCL = (
+    "install the CPU implementation PoCL with `pip install pocl-binary-distribution`, or "
+    if sys.platform == "linux" and machine() == "x86_64"
+    else "PoCL's wheel is for Linux on x86_64; take this system's OpenCL or conda-forge's pocl, or "
 )
+_NO_OPENCL = f"no OpenCL device was found: {_POCL}run without OpenCL, slower, with `campaign.device=numpy`"
 
 
 # Of path lengths of tens of meters on a device and on NumPy, mm.

@@ -7,6 +7,11 @@ from pathlib import Path
 _TASKS = Path("/proc/self/task")
 
 
+def available_cpus() -> int:
+    """Return how many CPUs this process may use; where the system does not tell, how many there are."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def running_threads() -> set[int]:
     """Return the threads of this process that are not Python's, as Linux numbers them; elsewhere none."""
     own = {thread.native_id for thread in threading.enumerate()}

@@ -6,13 +6,14 @@ there is none, the last line that is printed says why.
 """
 
 import os
-import resource
 import sys
 import time
 from typing import Any
 
 import numpy as np
 import psutil  # type: ignore[import-untyped]
+
+from wavequake.posix import resource
 
 _CPU_S, _CPU_S_PER_BYTE = 5.0, 1e-6  # a hundred times what a file takes that is sound
 

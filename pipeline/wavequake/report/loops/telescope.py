@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +61,7 @@ _DEFINITIONS = (
     (
         "light error",
         "Largest difference of the loop's linear light from rays that are traced in full, at the traced "
-        "instants: of the WFE, and in small print of the LOS.",
+        "instants: of the WFE, and in small print of the LOS. What is left and smaller is written as 0.",
     ),
 )
 
@@ -99,8 +99,14 @@ def results(cases: xr.Dataset) -> list[Result]:
             values = values[~np.isnan(values)]  # of a share of cases, where not all are traced
             whole = np.max if key.startswith("light") else np.median
             middle.append(float(whole(values)) if len(values) else np.nan)
-        found.append(Result(name, *middle))
+        one = Result(name, *middle)
+        found.append(replace(one, wfe=_known(one.wfe, one.wfe_error), los=_known(one.los, one.los_error)))
     return found
+
+
+def _known(value: float, error: float) -> float:
+    """Return a value, 0 where the linear light that it comes from is off by more."""
+    return 0.0 if value < error else value
 
 
 def _case_rms(values: xr.DataArray) -> xr.DataArray:
