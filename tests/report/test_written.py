@@ -9,7 +9,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.report.written import as_comment, read_table
+from wavequake.report.written import _drawn, as_comment, read_table
 
 
 def drawn(table, width):
@@ -48,3 +48,13 @@ def test_a_damaged_table_is_none(tmp_path, content):
     page = tmp_path / "report.html"
     page.write_bytes(b"\n<!-- table " + content + b" -->\n")
     assert read_table(page) is None
+
+
+def test_what_is_drawn_to_be_kept_is_not_shown_in_a_notebook(monkeypatch):
+    shown = []
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    monkeypatch.setattr("rich.jupyter.display", lambda *parts: shown.append(parts))
+    table = Table("a number")
+    table.add_row("42")
+    assert "42" in _drawn(table)
+    assert shown == []

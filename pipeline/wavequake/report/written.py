@@ -104,6 +104,8 @@ def _cell(words: Any) -> Any:
 
 
 def _drawn(table: Table) -> str:
-    console = Console(file=io.StringIO(), width=100, force_terminal=True, color_system="standard")
+    console = Console(  # in a notebook rich would show what is printed here
+        file=io.StringIO(), width=100, force_terminal=True, force_jupyter=False, color_system="standard"
+    )
     console.print(table)
     return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]

@@ -41,7 +41,8 @@ def bundled_times(name: str) -> Times | None:
     known = json.loads(path.read_text(encoding="utf-8"))
     if name not in known["studies"]:
         return None
-    return Times(*known["studies"][name], where=f"measured on {known['processor']}")
+    set_up, each = known["studies"][name]
+    return Times(set_up, each, f"measured on {known['processor']}")
 
 
 def _is_bundled(study: Study, name: str) -> bool:

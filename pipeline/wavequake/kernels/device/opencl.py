@@ -11,6 +11,7 @@ from typing import Any
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.linker import ensure_linker
+from wavequake.kernels.device.pocl_cache import ensure_cache
 from wavequake.kernels.device.pocl_processor import name_processor
 from wavequake.kernels.device.threads import pin_each, running_threads
 from wavequake.kernels.device.tiles import TILE
@@ -55,6 +56,7 @@ def seen() -> tuple[tuple[tuple[Device, Any], ...], tuple[tuple[Device, str], ..
     try:
         import pyopencl as cl
 
+        ensure_cache()
         platforms = cl.get_platforms()
     except Exception:  # no loader or no platform: both mean that there is no OpenCL
         return (), ()
