@@ -41,12 +41,12 @@ test: $(VENV)/.dev
 # Quick files of every folder of tests/; a test sees to it that none is left out. Bits of all studies in other
 # places take three minutes: `make test` compares them.
 FAST := test_architecture.py test_recorded_numbers.py \
-  chain/test_system_images.py drawing/test_paths.py \
+  chain/test_streaks.py drawing/test_paths.py \
   cluster/test_places.py control/test_linear.py control/test_regulator.py control/test_sensor.py \
   firmware/test_gains_header.py imaging/test_mtf.py imaging/test_matrix_fourier.py imaging/test_detector.py \
   kernels/test_strehl.py kernels/test_poses.py mechanics/test_linear_system.py mechanics/test_spectra.py \
   optics/test_paraxial.py optics/test_zernike.py optics/test_shape_sag.py reduction/test_krylov.py \
-  rare/test_quadratic.py report/test_table.py report/test_statistics.py workflows/test_journal.py workflows/test_study.py \
+  rare/test_certificate.py report/test_table.py report/test_statistics.py workflows/test_journal.py workflows/test_study.py \
   fuzz/test_fuzz.py viewer/test_film.py
 
 test-fast: $(VENV)/.dev
