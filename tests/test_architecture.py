@@ -10,7 +10,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "pipeline" / "wavequake"
 PHYSICS = {"mechanics", "reduction", "optics", "imaging", "control"}
-BASE = {"errors", "files", "prepared", "registry", "tables", "user_files", "words"}
+BASE = {"errors", "files", "prepared", "registry", "tables", "user_files", "words", "posix"}
 
 # What each package may import of ours, besides itself.
 ALLOWED = {
@@ -19,6 +19,7 @@ ALLOWED = {
     "user_files": {"errors"},
     "words": set(),
     "memory": set(),
+    "posix": {"errors"},
     "registry": {"errors"},
     "prepared": set(),
     "tables": set(),
