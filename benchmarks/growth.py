@@ -22,8 +22,8 @@ from wavequake.campaign.engine.driver import run_campaign
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.mechanics.vibration.eigen import eigenmodes
-from wavequake.workflows.segments import segment_disturbance as workflow
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments import disturbance as workflow
+from wavequake.workflows.segments.study import SegmentStudy
 from wavequake.workflows.study import load_study
 
 BUSY = "busy"

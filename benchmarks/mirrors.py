@@ -25,11 +25,11 @@ from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import Response, displacements, respond
 from wavequake.optics.shapes.fit import apply, heights
 from wavequake.optics.shapes.motion_fit import figures, motion_fit
-from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
-from wavequake.workflows.mirrors.mirror_optics import Optics, displacements_mm
-from wavequake.workflows.mirrors.mirror_residual import coordinates_of, left_by, residual_of
-from wavequake.workflows.mirrors.mirror_study import TraceStudy
-from wavequake.workflows.mirrors.mirror_trace import (
+from wavequake.workflows.mirrors.bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.optics import Optics, displacements_mm
+from wavequake.workflows.mirrors.residual import coordinates_of, left_by, residual_of
+from wavequake.workflows.mirrors.study import TraceStudy
+from wavequake.workflows.mirrors.trace import (
     MODAL,
     STANDARD,
     Clock,

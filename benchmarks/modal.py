@@ -18,8 +18,8 @@ from wavequake.mechanics.disturbances.sources.common_history import (
     amplitude_generator,
     amplitudes,
 )
-from wavequake.workflows.segments import segment_disturbance as workflow
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments import disturbance as workflow
+from wavequake.workflows.segments.study import SegmentStudy
 from wavequake.workflows.study import load_study, study_with
 
 CHUNK = 4096

@@ -18,7 +18,7 @@ from rich.table import Table
 from wavequake.campaign.rare.certificate import estimated
 from wavequake.campaign.rare.quadratic import QuadraticForm, limit_of, tilt_to
 from wavequake.campaign.rare.splitting import probability
-from wavequake.workflows.segments.segment_rare import rare_cases
+from wavequake.workflows.segments.rare import rare_cases
 from wavequake.workflows.study import load_study
 
 Array = NDArray[np.float64]

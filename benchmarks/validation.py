@@ -44,7 +44,7 @@ from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.systems.system import OpticalSystem, Pupil
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
-from wavequake.workflows.segments import segment_disturbance
+from wavequake.workflows.segments import disturbance as segment_disturbance
 from wavequake.workflows.study import load_study
 
 DATA = Path(__file__).parents[1] / "tests" / "data"

@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks._verdict import Row, verdict
 from wavequake.kernels.device.devices import choose_device
 from wavequake.reduction.metrics import eps_mor, eps_of, pseudo_frequencies, receptance
-from wavequake.workflows.mirrors import mirror_mor
-from wavequake.workflows.mirrors.mirror_bench import (
+from wavequake.workflows.mirrors import mor as mirror_mor
+from wavequake.workflows.mirrors.bench import (
     answers_of,
     bench_of,
     frequencies_of,
@@ -23,8 +23,8 @@ from wavequake.workflows.mirrors.mirror_bench import (
     study_of,
     variant_of,
 )
-from wavequake.workflows.mirrors.mirror_optics import figure_rows, optical_rows
-from wavequake.workflows.mirrors.mirror_shapes import node_row
+from wavequake.workflows.mirrors.optics import figure_rows, optical_rows
+from wavequake.workflows.mirrors.shapes import node_row
 from wavequake.workflows.study import load_study
 
 DEMANDS = {

@@ -18,7 +18,7 @@ from wavequake.doors import models, studies
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.optics.zemax import export
 from wavequake.workflows import study, zernike_arrays
-from wavequake.workflows.systems import system_source
+from wavequake.workflows.systems import source as system_source
 
 # Commands that act on a terminal or another machine, or that Python says by other names.
 OTHERS = {"devices", "firmware", "info", "new", "retry", "rerun", "status"}

@@ -8,7 +8,7 @@ import pytest
 
 import wavequake as wq
 from wavequake import cli
-from wavequake.workflows.systems.system_disturbance import KIND
+from wavequake.workflows.systems.disturbance import KIND
 
 STUDY = """
 [study]

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from wavequake.workflows.run import plan
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.study import load_study
-    from wavequake.workflows.systems.system_source import load_system
+    from wavequake.workflows.systems.source import load_system
     from wavequake.workflows.zernike_arrays import convert_zernike
 
 __version__ = "0.2.0"
@@ -100,7 +100,7 @@ _HOMES = {
     "identify": "wavequake.doors.telemetry",
     "load_model": "wavequake.doors.models",
     "load_study": "wavequake.workflows.study",
-    "load_system": "wavequake.workflows.systems.system_source",
+    "load_system": "wavequake.workflows.systems.source",
     "loop": "wavequake.doors.models",
     "margins": "wavequake.doors.studies",
     "migrate": "wavequake.workflows.migrate",

@@ -13,7 +13,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
+from wavequake.workflows.systems.bench import system_bench
 
 KIND = find_kind("system-disturbance")
 SHAKEN = """

@@ -10,14 +10,14 @@ from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.report.segments.fields import base_name, by_field
 from wavequake.workflows.budgets.budget import summed
-from wavequake.workflows.budgets.budget_segments import experiment
+from wavequake.workflows.budgets.segments import experiment
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.rare import rare_study
 from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.control import modal_numbers
+from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.images import summed_images
 from wavequake.workflows.segments.launches import surface_states
-from wavequake.workflows.segments.segment_control import modal_numbers
-from wavequake.workflows.segments.segment_disturbance import draw
 from wavequake.workflows.study import load_study
 
 KIND = find_kind("segment-disturbance")

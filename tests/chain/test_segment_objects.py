@@ -13,8 +13,8 @@ from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.launches import surface_states
-from wavequake.workflows.segments.segment_disturbance import draw
 from wavequake.workflows.study import load_study
 
 KIND = find_kind("segment-disturbance")

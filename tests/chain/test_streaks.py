@@ -6,7 +6,7 @@ import pytest
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments import launches
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import draw
+from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.study import load_study
 
 KIND = find_kind("segment-disturbance")

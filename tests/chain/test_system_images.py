@@ -12,7 +12,7 @@ from wavequake.optics.wavefronts.wavefront import trace_system, with_slopes
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
+from wavequake.workflows.systems.bench import system_bench
 
 KIND = find_kind("system-disturbance")
 STILL = """

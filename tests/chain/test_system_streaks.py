@@ -6,7 +6,7 @@ from scipy.special import j0, j1
 
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
+from wavequake.workflows.systems.bench import system_bench
 
 KIND = find_kind("system-disturbance")
 # f/50: lambda/D is 25 um in the image.

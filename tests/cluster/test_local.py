@@ -82,7 +82,7 @@ def test_interrupts_wait_until_they_may_come():
         # SciPy loads these when they are first used, which few studies do; each takes half a second.
         ("workflows.run", ["dask", "matplotlib", "scipy.signal", "scipy.special", "scipy.stats"]),
         (
-            "workflows.segments.segment_disturbance",
+            "workflows.segments.disturbance",
             ["pandas", "scipy.optimize", "scipy.spatial", "scipy.special", "zarr"],
         ),
         ("campaign.store.status", ["numcodecs", "xarray", "zarr"]),
@@ -90,7 +90,7 @@ def test_interrupts_wait_until_they_may_come():
         ("report.segments.report", ["matplotlib"]),  # whose table a complete store shows again
         (
             "drawing.draw",
-            ["wavequake.workflows.mirrors.mirror_study", "wavequake.workflows.lens.lens_study"],
+            ["wavequake.workflows.mirrors.study", "wavequake.workflows.lens.study"],
         ),
     ],
 )

@@ -97,14 +97,14 @@ def grid() -> str:
 
 def lens(path: Path) -> object:
     """Read a lens file and say what `wavequake info` says of it: it is traced."""
-    from wavequake.workflows.systems.system_source import described
+    from wavequake.workflows.systems.source import described
 
     return described(str(path), [])
 
 
 def zoomed(path: Path) -> object:
     """Read a lens file in a configuration other than that in which it was saved."""
-    from wavequake.workflows.systems.system_source import described
+    from wavequake.workflows.systems.source import described
 
     return described(str(path), ["configuration=3"])
 

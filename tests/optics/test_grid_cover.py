@@ -18,7 +18,7 @@ from wavequake.optics.shapes.shapes import Conic, GridSag, Opening
 from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.systems.system import OpticalSystem, Pupil
 from wavequake.workflows.run import run
-from wavequake.workflows.systems.system_bench import system_bench
+from wavequake.workflows.systems.bench import system_bench
 
 
 def mirror(half, opening=None, field=0.0, stop_before=0.0):

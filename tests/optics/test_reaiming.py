@@ -14,7 +14,7 @@ from wavequake.optics.rays.packing import moving
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import analyse_system, prepare_system, trace_light
-from wavequake.workflows.systems.system_bench import deformable
+from wavequake.workflows.systems.bench import deformable
 
 
 def prepared_of(system):

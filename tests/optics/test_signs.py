@@ -17,10 +17,10 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device, list_devices
 from wavequake.mechanics.disturbances.motion import still
 from wavequake.optics.segments.prepared import trace_states
-from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.launches import surface_states
-from wavequake.workflows.segments.segment_study import SegmentStudy as Study
+from wavequake.workflows.segments.study import SegmentStudy as Study
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
 DEVICE = OPENCL[0] if OPENCL else "numpy"

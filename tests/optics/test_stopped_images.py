@@ -12,9 +12,9 @@ from wavequake.kernels.device.devices import list_devices
 from wavequake.mechanics.disturbances.motion import still
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.kinds import find_kind
-from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.study import SegmentStudy
 
 DEVICE = list_devices()[0].name
 EDGE, SIDE, FOCUS = 150.0, 400.0, 10000.0

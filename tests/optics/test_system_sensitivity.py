@@ -16,7 +16,7 @@ from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeDeformation
 from wavequake.optics.systems.bodies import rigid_body
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.wavefronts.wavefront import prepare_system
-from wavequake.workflows.systems.system_bench import deformable
+from wavequake.workflows.systems.bench import deformable
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "tmt_optics.json").read_text())
 

@@ -18,7 +18,7 @@ from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.zemax.read import parse_zmx
-from wavequake.workflows.systems.system_source import described
+from wavequake.workflows.systems.source import described
 
 LENS = "SURF 1\n  CURV 0.02\n  GLAS {glass}\n  DISZ 4\nSURF 2\n  CURV -0.02\n  DISZ 3\n"
 LENS += "SURF 3\n  STOP\n  DISZ 45\n"

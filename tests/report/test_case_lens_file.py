@@ -16,8 +16,8 @@ from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.report.exports.displacements import displacements, export_displacements
 from wavequake.report.exports.lens_file import export_case
-from wavequake.workflows.systems.system_bench import at_instant, system_bench, system_states
-from wavequake.workflows.systems.system_disturbance import draw
+from wavequake.workflows.systems.bench import at_instant, system_bench, system_states
+from wavequake.workflows.systems.disturbance import draw
 
 STUDY = """
 [study]

@@ -23,7 +23,7 @@ from wavequake.report.answers.comparison import compare
 from wavequake.report.answers.tail import per_case
 from wavequake.report.exports.store import export
 from wavequake.workflows.run import run_study
-from wavequake.workflows.segments import segment_disturbance
+from wavequake.workflows.segments import disturbance as segment_disturbance
 from wavequake.workflows.study import load_study
 
 CASES, CHUNK = 8_000, 500

@@ -6,7 +6,7 @@ import xarray as xr
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.certificate import certificate
-from wavequake.workflows.segments.segment_modal import CERTIFIED, MODAL, TRACED
+from wavequake.workflows.segments.modal import CERTIFIED, MODAL, TRACED
 
 LIMIT = "beyond its range (second order above 0.1 nm)"
 

@@ -11,7 +11,7 @@ from wavequake.report.mirrors.report import results_of
 from wavequake.report.segments.variants import detail
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.run import run_study
-from wavequake.workflows.segments.segment_mor_bench import model_of
+from wavequake.workflows.segments.mor_bench import model_of
 from wavequake.workflows.study import load_study
 
 KEYS = [

@@ -17,7 +17,7 @@ from wavequake.optics.segments.prepared import prepare
 from wavequake.report.segments.vignetting import stopped_light
 from wavequake.workflows.budgets.budget import budget
 from wavequake.workflows.run import kind_of
-from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.vignetting import stopped_at_rest
 from wavequake.workflows.study import load_study

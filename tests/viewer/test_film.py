@@ -18,7 +18,7 @@ from wavequake.viewer.encode import LIMIT, Blocks, encode
 from wavequake.viewer.film import Film, Stage, Take, displacements, principal
 from wavequake.viewer.page import render_film
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import draw
+from wavequake.workflows.segments.disturbance import draw
 
 STUDY = """
 [study]

@@ -15,8 +15,8 @@ from wavequake.viewer import systems
 from wavequake.viewer.exposures import m2_map
 from wavequake.viewer.film import displacements, over_pupil, zernike_map
 from wavequake.viewer.view import film_of
-from wavequake.workflows.systems.system_bench import system_bench, system_states
-from wavequake.workflows.systems.system_disturbance import draw
+from wavequake.workflows.systems.bench import system_bench, system_states
+from wavequake.workflows.systems.disturbance import draw
 
 EXPOSED = {
     "telescope.name": "tmt-18",

@@ -6,8 +6,8 @@ import numpy as np
 
 from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import draw
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.disturbance import draw
 
 
 def shaken(keys, instants=16):

@@ -3,7 +3,7 @@
 import numpy as np
 from small_bodies import legs, study_of
 
-from wavequake.workflows.segments.segment_disturbance import KIND
+from wavequake.workflows.segments.disturbance import KIND
 
 STUDY = """
 [study]

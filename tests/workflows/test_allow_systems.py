@@ -14,9 +14,9 @@ from wavequake.optics.derivatives.central import DOFS
 from wavequake.report.answers.allow import allow_figure, allow_notes, asked_of
 from wavequake.workflows.allow import allowances
 from wavequake.workflows.study import load_study, study_with
-from wavequake.workflows.systems.system_allow import system_movable
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_measure import measured
+from wavequake.workflows.systems.allow import system_movable
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.measure import measured
 
 SMALL = {"optics.rays": 60, "wavefront.zernike_terms": 15}
 DETECTOR = """

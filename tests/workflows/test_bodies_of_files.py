@@ -11,7 +11,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.assembly.answers import STANDARD_GRAVITY
 from wavequake.mechanics.assembly.beams import Tube, beam_frame
 from wavequake.mechanics.mirrors.material import Material
-from wavequake.workflows.systems.system_disturbance import prepare
+from wavequake.workflows.systems.disturbance import prepare
 
 # A camera on a mast of one tube, given as beams, as their matrices, and as all of their modes.
 MAST = """

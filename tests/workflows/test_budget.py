@@ -6,7 +6,7 @@ import pytest
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.workflows.budgets.budget import budget, open_budget, stored_budget, summed
-from wavequake.workflows.budgets.budget_segments import Factors, rings_of, variants
+from wavequake.workflows.budgets.segments import Factors, rings_of, variants
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study

@@ -10,11 +10,11 @@ from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.report.answers.budget import budget_figure, explanations
 from wavequake.workflows.budgets.budget import budget, stored_budget, summed
-from wavequake.workflows.budgets.budget_systems import variants
+from wavequake.workflows.budgets.systems import variants
 from wavequake.workflows.segments.launches import slot
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import KIND
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.disturbance import KIND
 
 STUDY = """
 [study]

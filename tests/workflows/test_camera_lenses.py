@@ -10,7 +10,7 @@ from test_senseless_keys import said
 from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
 from wavequake.optics.media.glasses import glass, refractive_index
-from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import benches_of
 from wavequake.workflows.study import load_study, study_with
 

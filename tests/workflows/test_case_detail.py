@@ -12,7 +12,7 @@ from wavequake.campaign.store.store import open_store
 from wavequake.control.bench import bench_modes
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.report.segments import case_detail
-from wavequake.workflows.lens.lens_bench import bench_of
+from wavequake.workflows.lens.bench import bench_of
 from wavequake.workflows.run import run
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -5,7 +5,7 @@ import pytest
 from test_system_disturbance import study_of
 
 from wavequake.campaign.contract import DONE
-from wavequake.workflows.systems.system_disturbance import KIND
+from wavequake.workflows.systems.disturbance import KIND
 
 MOVED = """
 [study]

@@ -7,7 +7,7 @@ import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import draw
+from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

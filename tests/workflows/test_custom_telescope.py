@@ -17,7 +17,7 @@ from wavequake.optics.shapes.polygons import edge_lines
 from wavequake.optics.systems.file import SystemSection
 from wavequake.optics.zemax.export import zmx_text
 from wavequake.workflows.early_notices import early_notices
-from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of, build_telescope
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.systems.out_of_focus import out_of_focus, waves_of_defocus

@@ -17,9 +17,9 @@ from wavequake.report.answers.errors_shown import errors_notes
 from wavequake.workflows.allow import allowances
 from wavequake.workflows.mirrors.segment_body import build_segment, hexagon_of, motion_rows
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import compute, draw
-from wavequake.workflows.segments.segment_mor import traced
-from wavequake.workflows.segments.segment_mor_bench import model_of, study_of
+from wavequake.workflows.segments.disturbance import compute, draw
+from wavequake.workflows.segments.mor import traced
+from wavequake.workflows.segments.mor_bench import model_of, study_of
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -19,8 +19,8 @@ from wavequake.workflows.identify.explain import MeasuredMode
 from wavequake.workflows.identify.identify import doubts, identified
 from wavequake.workflows.identify.study_text import study_text
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_measure import measured_cases
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.measure import measured_cases
 
 STUDY = (
     """# A comment that stays.

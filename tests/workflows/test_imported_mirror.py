@@ -11,7 +11,7 @@ from wavequake.campaign.store.store import open_store
 from wavequake.commands import stores
 from wavequake.errors import UserError
 from wavequake.workflows.mirrors import model_store
-from wavequake.workflows.mirrors.mirror_trace import compute
+from wavequake.workflows.mirrors.trace import compute
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 

@@ -7,8 +7,8 @@ from wavequake.campaign.contract import DONE, RAISED
 from wavequake.control.bench import bench_modes, fitted_bench
 from wavequake.control.experiment import CONTROLLERS
 from wavequake.errors import UserError
-from wavequake.workflows.lens import lens_experiment
-from wavequake.workflows.lens.lens_experiment import KIND, case_table, compute, template
+from wavequake.workflows.lens import experiment as lens_experiment
+from wavequake.workflows.lens.experiment import KIND, case_table, compute, template
 from wavequake.workflows.run import chunk_of, run
 from wavequake.workflows.study import load_study
 

@@ -12,7 +12,7 @@ from wavequake.errors import UserError
 from wavequake.firmware import kept
 from wavequake.firmware.build import BOARDS, compiler_of, image_hash
 from wavequake.firmware.gains import gains_of
-from wavequake.workflows.lens.lens_experiment import (
+from wavequake.workflows.lens.experiment import (
     KIND,
     chain_of,
     compute,

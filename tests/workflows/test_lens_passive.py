@@ -7,7 +7,7 @@ from wavequake.control.bench import fitted_bench
 from wavequake.control.passive import objective
 from wavequake.errors import UserError
 from wavequake.report.lens import passive as report
-from wavequake.workflows.lens.lens_passive import compute, start_of, study_of
+from wavequake.workflows.lens.passive import compute, start_of, study_of
 from wavequake.workflows.run import run
 from wavequake.workflows.study import load_study
 

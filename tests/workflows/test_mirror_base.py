@@ -10,9 +10,9 @@ from wavequake import cli
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.mechanics.vibration.drive import Drive, Harmonic
-from wavequake.workflows.mirrors import mirror_trace
-from wavequake.workflows.mirrors.mirror_base import driven
-from wavequake.workflows.mirrors.mirror_bench import bench_of, check_variants_of, variant_of
+from wavequake.workflows.mirrors import trace as mirror_trace
+from wavequake.workflows.mirrors.base import driven
+from wavequake.workflows.mirrors.bench import bench_of, check_variants_of, variant_of
 from wavequake.workflows.run import plan, run_study
 from wavequake.workflows.study import load_study
 

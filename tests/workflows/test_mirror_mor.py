@@ -17,8 +17,8 @@ from wavequake.commands import stores
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.reduction.reduce import reduce
 from wavequake.report.answers.comparison import compare
-from wavequake.workflows.mirrors.mirror_bench import bench_of, build_model
-from wavequake.workflows.mirrors.mirror_mor import compute, exposures
+from wavequake.workflows.mirrors.bench import bench_of, build_model
+from wavequake.workflows.mirrors.mor import compute, exposures
 from wavequake.workflows.run import plan, run_study
 from wavequake.workflows.study import load_study
 

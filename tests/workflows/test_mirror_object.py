@@ -22,7 +22,7 @@ from wavequake.workflows.exposures.mirror_exposure import (
     template,
 )
 from wavequake.workflows.mirrors import model_store
-from wavequake.workflows.mirrors.mirror_bench import bench_of
+from wavequake.workflows.mirrors.bench import bench_of
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 

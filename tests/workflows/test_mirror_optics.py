@@ -9,9 +9,9 @@ from small_mirrors import TRACE, eleven, wavefront_of
 from wavequake.errors import UserError
 from wavequake.optics.wavefronts.wavefront import prepare_system
 from wavequake.reduction.two_stage import reference
-from wavequake.workflows.mirrors import mirror_optics
-from wavequake.workflows.mirrors.mirror_bench import any_study_of, bench_of, build_model, variant_of
-from wavequake.workflows.mirrors.mirror_optics import (
+from wavequake.workflows.mirrors import optics as mirror_optics
+from wavequake.workflows.mirrors.bench import any_study_of, bench_of, build_model, variant_of
+from wavequake.workflows.mirrors.optics import (
     deformation_sensitivity,
     displacements_mm,
     mirror_system,

@@ -16,9 +16,9 @@ from wavequake.optics.shapes.fit import apply, residual_grid
 from wavequake.optics.shapes.motion_fit import motion_fit
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import trace_light, trace_system
-from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
-from wavequake.workflows.mirrors.mirror_optics import displacements_mm, with_deformation
-from wavequake.workflows.mirrors.mirror_residual import (
+from wavequake.workflows.mirrors.bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.optics import displacements_mm, with_deformation
+from wavequake.workflows.mirrors.residual import (
     coordinates_of,
     deformed_light,
     grid_of,
@@ -26,7 +26,7 @@ from wavequake.workflows.mirrors.mirror_residual import (
     residual_of,
     rms_of,
 )
-from wavequake.workflows.mirrors.mirror_trace import STAGES, compute, modal_method, standard_method
+from wavequake.workflows.mirrors.trace import STAGES, compute, modal_method, standard_method
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 

@@ -10,9 +10,9 @@ from wavequake.optics.rays.pupils import sunflower
 from wavequake.report.mirrors import report as mirrors
 from wavequake.report.mirrors import shapes as draw
 from wavequake.report.mirrors.deformed_body import bodies
-from wavequake.workflows.mirrors.mirror_bench import bench_of, build_model, variant_of
-from wavequake.workflows.mirrors.mirror_mor import compute
-from wavequake.workflows.mirrors.mirror_shapes import mode_shapes, rim_node
+from wavequake.workflows.mirrors.bench import bench_of, build_model, variant_of
+from wavequake.workflows.mirrors.mor import compute
+from wavequake.workflows.mirrors.shapes import mode_shapes, rim_node
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 

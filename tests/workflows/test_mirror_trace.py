@@ -18,11 +18,11 @@ from wavequake.mechanics.vibration.response import displacements, respond
 from wavequake.optics.shapes.fit import apply
 from wavequake.optics.shapes.motion_fit import motion_fit
 from wavequake.workflows.kinds import find_kind
-from wavequake.workflows.mirrors import mirror_trace
-from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
-from wavequake.workflows.mirrors.mirror_optics import displacements_mm
-from wavequake.workflows.mirrors.mirror_residual import coordinates_of
-from wavequake.workflows.mirrors.mirror_trace import MODAL, STAGES, STANDARD, compute, standard_method
+from wavequake.workflows.mirrors import trace as mirror_trace
+from wavequake.workflows.mirrors.bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.optics import displacements_mm
+from wavequake.workflows.mirrors.residual import coordinates_of
+from wavequake.workflows.mirrors.trace import MODAL, STAGES, STANDARD, compute, standard_method
 from wavequake.workflows.run import plan, run_study
 from wavequake.workflows.study import load_study
 

@@ -6,7 +6,7 @@ import pytest
 import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import plants_of_text
+from wavequake.workflows.systems.bench import plants_of_text
 
 STUDY = """
 [study]

@@ -11,8 +11,8 @@ from wavequake.errors import UserError
 from wavequake.mechanics.mirrors.deck import write_deck
 from wavequake.mechanics.mirrors.models import ALUMINUM, CircularMirror, mirror_mesh
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import notices
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.disturbance import notices
 
 RADIUS, CURVATURE = 100.0, -1.0 / 2000.0  # mm: a paraboloid of 2 m radius
 STUDY = """

@@ -17,7 +17,7 @@ from wavequake.report.answers.errors import store_errors
 from wavequake.report.answers.rare import in_unit, rare_answer, rare_notes
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.rare import modal_answer, rare_study
-from wavequake.workflows.segments.segment_rare import rare_cases
+from wavequake.workflows.segments.rare import rare_cases
 from wavequake.workflows.study import load_study, study_with
 
 STUDY = """

@@ -20,8 +20,8 @@ from wavequake.control.sensor import quantized_command
 from wavequake.control.stage import Stage, stage_response
 from wavequake.control.thesis import future_integration
 from wavequake.errors import UserError
-from wavequake.workflows.lens.lens_experiment import KIND, compute
-from wavequake.workflows.lens.lens_loops import beside, closed_loops
+from wavequake.workflows.lens.experiment import KIND, compute
+from wavequake.workflows.lens.loops import beside, closed_loops
 from wavequake.workflows.loops.loop_margins import loops_of
 from wavequake.workflows.study import load_study
 

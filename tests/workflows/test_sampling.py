@@ -10,8 +10,8 @@ from wavequake.chain.sampling import Plan
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.streams import Coordinates
 from wavequake.workflows.run import run_study
-from wavequake.workflows.segments.segment_disturbance import compute
-from wavequake.workflows.segments.segment_draws import sampling_plan
+from wavequake.workflows.segments.disturbance import compute
+from wavequake.workflows.segments.draws import sampling_plan
 from wavequake.workflows.study import load_study
 
 SMALL = {"telescope.name": "tmt-18", "imaging.enabled": False, "optics.rays_per_segment": 6}
@@ -129,7 +129,7 @@ def test_pistons_of_a_study_are_stratified_and_wind_is_as_random_as_before():
     keys = {**SMALL, "campaign.sampling": "latin-hypercube", "campaign.cases": 64, "campaign.replicates": 1}
     from wavequake.mechanics.disturbances.registry import draw_case
     from wavequake.workflows.segments.bench import bench_of
-    from wavequake.workflows.segments.segment_draws import draw_realization
+    from wavequake.workflows.segments.draws import draw_realization
 
     study = load_study("tmt-segments", keys)
     bench = bench_of(study.identity_text())

@@ -17,9 +17,9 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.workflows.bodies.sight import bodies_sight
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import KIND, draw
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import KIND as SYSTEM
+from wavequake.workflows.segments.disturbance import KIND, draw
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.disturbance import KIND as SYSTEM
 
 
 def test_m2_on_springs_swings_as_the_closed_form_says(tmp_path):

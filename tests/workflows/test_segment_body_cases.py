@@ -10,7 +10,7 @@ from small_carried import CELL, M2_ELASTIC, SPIDER, STUDY, TOP, numbers, text_of
 from wavequake.errors import UserError
 from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import KIND, draw, trace_draws
+from wavequake.workflows.segments.disturbance import KIND, draw, trace_draws
 
 VARIANTS = '[reduction]\nvariants = ["guyan", "craigb15", "craigb36"]\n'
 

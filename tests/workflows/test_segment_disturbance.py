@@ -13,8 +13,8 @@ from wavequake.kernels.device.devices import choose_device, list_devices
 from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNoise
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.prepared import trace_states
+from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments import launches
-from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import energy_scale, image_axis
 from wavequake.workflows.segments.launches import slot, surface_states

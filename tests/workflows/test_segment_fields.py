@@ -13,11 +13,11 @@ from wavequake.report.segments.fields import base_name, by_field, of_population
 from wavequake.workflows.allow import allowances
 from wavequake.workflows.rare import rare_study
 from wavequake.workflows.run import run_study
-from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of, benches_of
 from wavequake.workflows.segments.launches import slot
-from wavequake.workflows.segments.segment_study import without_images
-from wavequake.workflows.segments.segment_template import OF_ALL_PLACES, of_one_place, place_axis
+from wavequake.workflows.segments.study import without_images
+from wavequake.workflows.segments.template import OF_ALL_PLACES, of_one_place, place_axis
 from wavequake.workflows.study import load_study, study_with
 
 FIELDS = ((0.0, 0.0), (0.1, -0.3))

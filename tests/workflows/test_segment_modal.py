@@ -13,9 +13,9 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import list_devices
 from wavequake.workflows import kinds
 from wavequake.workflows import run as campaign
-from wavequake.workflows.segments import segment_disturbance as workflow
-from wavequake.workflows.segments import segment_modal
-from wavequake.workflows.segments.segment_modal import CERTIFIED, MODAL, TRACED, sampled
+from wavequake.workflows.segments import disturbance as workflow
+from wavequake.workflows.segments import modal as segment_modal
+from wavequake.workflows.segments.modal import CERTIFIED, MODAL, TRACED, sampled
 from wavequake.workflows.study import load_study, study_with
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]

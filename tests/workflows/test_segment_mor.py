@@ -6,7 +6,7 @@ from small_segments import text_of
 
 from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
-from wavequake.workflows.segments.segment_mor import case_table, check, compute, describe, template
+from wavequake.workflows.segments.mor import case_table, check, compute, describe, template
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 

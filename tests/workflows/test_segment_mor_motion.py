@@ -14,8 +14,8 @@ from wavequake.mechanics.mirrors.models import HexagonalSegment, mirror_mesh
 from wavequake.optics.segments.catalog import telescope
 from wavequake.workflows.mirrors.segment_body import build_segment, hexagon_of, motion_rows
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_mor import launches, traced
-from wavequake.workflows.segments.segment_mor_bench import (
+from wavequake.workflows.segments.mor import launches, traced
+from wavequake.workflows.segments.mor_bench import (
     chosen_segments,
     model_of,
     motions,
@@ -25,7 +25,7 @@ from wavequake.workflows.segments.segment_mor_bench import (
     time_of,
     traced_instants,
 )
-from wavequake.workflows.segments.segment_mor_study import telescope_study
+from wavequake.workflows.segments.mor_study import telescope_study
 from wavequake.workflows.study import load_study
 
 DATA = Path(__file__).parents[1] / "data"

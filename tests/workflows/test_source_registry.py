@@ -25,13 +25,13 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.workflows.budgets.budget import budget
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import compute as compute_segments
-from wavequake.workflows.segments.segment_disturbance import draw as draw_segments
-from wavequake.workflows.segments.segment_draws import sampling_plan as segment_plan
+from wavequake.workflows.segments.disturbance import compute as compute_segments
+from wavequake.workflows.segments.disturbance import draw as draw_segments
+from wavequake.workflows.segments.draws import sampling_plan as segment_plan
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import draw as draw_system
-from wavequake.workflows.systems.system_disturbance import sampling_plan as system_plan
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.disturbance import draw as draw_system
+from wavequake.workflows.systems.disturbance import sampling_plan as system_plan
 
 STAND = """
 [[body]]

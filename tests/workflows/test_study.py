@@ -7,7 +7,7 @@ import pytest
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.files import folder
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.study import SegmentStudy
 from wavequake.workflows.study import bundled_studies, load_study, study_with
 
 MINIMAL = """

@@ -22,7 +22,8 @@ from wavequake.report.mirrors.variants import largest
 from wavequake.report.table import number
 from wavequake.workflows import sweep as swept
 from wavequake.workflows.kinds import compared_labels
-from wavequake.workflows.mirrors import mirror_bench, model_store
+from wavequake.workflows.mirrors import bench as mirror_bench
+from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.run import kind_of
 from wavequake.workflows.study import load_study, study_with
 

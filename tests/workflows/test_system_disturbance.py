@@ -10,8 +10,8 @@ from wavequake.kernels.device.devices import NUMPY
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import failure, system_bench
-from wavequake.workflows.systems.system_disturbance import KIND, draw
+from wavequake.workflows.systems.bench import failure, system_bench
+from wavequake.workflows.systems.disturbance import KIND, draw
 
 # A parabola of 1 m focal length and 50 mm radius: f/10, so that slopes are small.
 STUDY = """

@@ -22,13 +22,13 @@ from wavequake.optics.systems.system import SystemStates
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
-from wavequake.workflows.budgets.budget_systems import experiment, variants
+from wavequake.workflows.budgets.systems import experiment, variants
 from wavequake.workflows.run import notices, plan, run, run_study
 from wavequake.workflows.study import load_study, study_with
-from wavequake.workflows.systems import system_measure
-from wavequake.workflows.systems.system_bench import deformable, system_bench
-from wavequake.workflows.systems.system_disturbance import KIND, draw
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.systems import measure as system_measure
+from wavequake.workflows.systems.bench import deformable, system_bench
+from wavequake.workflows.systems.disturbance import KIND, draw
+from wavequake.workflows.systems.study import SystemStudy
 
 HEAD = """
 [study]

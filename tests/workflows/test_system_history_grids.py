@@ -16,13 +16,13 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
-from wavequake.workflows.budgets.budget_systems import elements_of, variants
+from wavequake.workflows.budgets.systems import elements_of, variants
 from wavequake.workflows.run import run
 from wavequake.workflows.sensitivity import sensitivity
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems import system_measure
-from wavequake.workflows.systems.system_bench import system_bench, system_states
-from wavequake.workflows.systems.system_disturbance import KIND
+from wavequake.workflows.systems import measure as system_measure
+from wavequake.workflows.systems.bench import system_bench, system_states
+from wavequake.workflows.systems.disturbance import KIND
 
 SHAPE, SPACING = (15, 17), (1.6, 1.5)
 X, Y = np.meshgrid(

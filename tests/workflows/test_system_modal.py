@@ -13,12 +13,12 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.optics.wavefronts.wavefront import measure_system
 from wavequake.report.exports.rerun import rerun_stored
-from wavequake.workflows.segments.segment_modal import CERTIFIED, MODAL, TRACED
+from wavequake.workflows.segments.modal import CERTIFIED, MODAL, TRACED
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench, system_states
-from wavequake.workflows.systems.system_disturbance import KIND, draw
-from wavequake.workflows.systems.system_measure import measured_cases
-from wavequake.workflows.systems.system_modal import model_of
+from wavequake.workflows.systems.bench import system_bench, system_states
+from wavequake.workflows.systems.disturbance import KIND, draw
+from wavequake.workflows.systems.measure import measured_cases
+from wavequake.workflows.systems.modal import model_of
 
 DEVICE = choose_device("auto").name
 SHAKEN = """

@@ -20,7 +20,7 @@ from wavequake.workflows.exposures.telescope_control import (
     figure_gains,
     trace,
 )
-from wavequake.workflows.segments import segment_disturbance
+from wavequake.workflows.segments import disturbance as segment_disturbance
 from wavequake.workflows.study import load_study
 
 STUDY = """

@@ -13,8 +13,8 @@ from wavequake.mechanics.assembly.answers import Shaking, steady
 from wavequake.mechanics.assembly.plant import FLOOR
 from wavequake.mechanics.assembly.uncertain import Measured, Spread, corrected, drawn
 from wavequake.workflows.bodies.uncertain import uncertain_plant
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import KIND, draw
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.disturbance import KIND, draw
 
 OWN_HZ = np.sqrt(4 * 4e5 / 10.0) / (2.0 * np.pi)  # 63.7, along z, of 10 kg on springs; damping 2 %
 NOISE = shaken('model = "body-force"\nat = ["cell"]\nspectrum = { rms = 0.5, low_hz = 5.0, high_hz = 800.0 }')

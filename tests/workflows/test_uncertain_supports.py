@@ -15,7 +15,7 @@ from wavequake.mechanics.disturbances.sources.segment_wind import (
 )
 from wavequake.mechanics.disturbances.supports import Supports
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import KIND, draw
+from wavequake.workflows.segments.disturbance import KIND, draw
 from wavequake.workflows.study import load_study
 
 # Softly held and lightly damped, in fast wind: the resonance counts.

@@ -11,8 +11,8 @@ from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import KIND
+from wavequake.workflows.systems.bench import system_bench
+from wavequake.workflows.systems.disturbance import KIND
 
 KEYS = ["optics.rays=200", "wavefront.zernike_terms=21", "campaign.device=numpy"]
 

@@ -63,9 +63,9 @@ def _designed(
     study: str, overrides: list[str] | None, controller: str, plant: int, record: Path | None = None
 ) -> Designed:
     from wavequake.errors import UserError
-    from wavequake.workflows.lens import lens_experiment as lens
-    from wavequake.workflows.lens.lens_bench import bench_of
-    from wavequake.workflows.lens.lens_study import LensStudy
+    from wavequake.workflows.lens import experiment as lens
+    from wavequake.workflows.lens.bench import bench_of
+    from wavequake.workflows.lens.study import LensStudy
     from wavequake.workflows.study import load_study
 
     loaded = load_study(study, overrides or [])

@@ -51,7 +51,7 @@ def info(
 ) -> None:
     """Print first-order data, fields, wavelengths and surfaces of a system; of mirrors their models."""
     from wavequake.drawing.draw import described_study
-    from wavequake.workflows.systems.system_source import described
+    from wavequake.workflows.systems.source import described
 
     words = described_study(system, overrides or []) or described(system, overrides or [], glass)
     out.print(words, markup=False, soft_wrap=True)

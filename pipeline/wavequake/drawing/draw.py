@@ -128,7 +128,7 @@ def look(what: Any, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Seen:
 def described_study(what: str, overrides: Iterable[str] = ()) -> str | None:
     """Return what a study is about that has no optical system of its own: its models, or whose light it is.
 
-    None for everything else, of which `wavequake.workflows.systems.system_source.described` tells.
+    None for everything else, of which `wavequake.workflows.systems.source.described` tells.
     """
     taken = what in (*system_names(), *TELESCOPES) or what.lower().endswith((*LENS_FILES, ".seq"))
     if taken or not (what in bundled_studies() or what.endswith(".toml")):
@@ -183,7 +183,7 @@ def _of_study(study: Study) -> Seen:
     if "SystemStudy" in kinds:
         return Seen(build(made_of.system))
     if "AnyMirrorStudy" in kinds:
-        from wavequake.workflows.mirrors.mirror_bench import build_model
+        from wavequake.workflows.mirrors.bench import build_model
 
         names = ("file",) if made_of.model.content is not None else made_of.model.shapes
         return Seen(models=tuple(build_model(made_of, name) for name in names))

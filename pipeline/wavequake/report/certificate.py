@@ -8,7 +8,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.report.statistics import quantile
 from wavequake.report.table import number
 from wavequake.words import counted
-from wavequake.workflows.segments.segment_modal import CERTIFIED, TRACED
+from wavequake.workflows.segments.modal import CERTIFIED, TRACED
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from wavequake.viewer.chosen import some_cases
 from wavequake.viewer.film import Array, Stage, Take, principal, same_reach, zernike_map
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
 from wavequake.workflows.exposures.mirror_exposure import local_images
-from wavequake.workflows.mirrors.mirror_bench import (
+from wavequake.workflows.mirrors.bench import (
     Bench,
     any_study_of,
     bench_of,
@@ -27,8 +27,8 @@ from wavequake.workflows.mirrors.mirror_bench import (
     time_of,
     variant_of,
 )
-from wavequake.workflows.mirrors.mirror_optics import optical_rows
-from wavequake.workflows.mirrors.mirror_study import FULL, AnyMirrorStudy, MirrorStudy
+from wavequake.workflows.mirrors.optics import optical_rows
+from wavequake.workflows.mirrors.study import FULL, AnyMirrorStudy, MirrorStudy
 
 _MODES = 12
 _PERIOD = 40  # instants of a mode

@@ -17,7 +17,7 @@ from wavequake.viewer.film import Array, Stage, Take, map_of, over_pupil
 from wavequake.viewer.mirrors import mode_takes, modes_of, side_by_side
 from wavequake.viewer.segments import figures_on, stage_of_telescope
 from wavequake.workflows.segments.images import instant_images
-from wavequake.workflows.segments.segment_mor import (
+from wavequake.workflows.segments.mor import (
     SHAKEN,
     at_rest,
     cases_of,
@@ -25,7 +25,7 @@ from wavequake.workflows.segments.segment_mor import (
     launches,
     resolution,
 )
-from wavequake.workflows.segments.segment_mor_bench import (
+from wavequake.workflows.segments.mor_bench import (
     MM_PER_M,
     SegmentModel,
     chosen_segments,

@@ -27,10 +27,10 @@ from wavequake.report.segments.report import is_reduced
 from wavequake.viewer.chosen import worst_cases
 from wavequake.viewer.film import Array, Map, Stage, Take, map_of, over_pupil, stage_of
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of
+from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.images import instant_images
 from wavequake.workflows.segments.launches import CaseDraw, surface_states
-from wavequake.workflows.segments.segment_disturbance import draw
-from wavequake.workflows.segments.segment_mor import flattened
+from wavequake.workflows.segments.mor import flattened
 
 TO_SKY = np.array([1.0, 1.0, -1.0])
 _MOST_INSTANTS = 208  # whole tiles

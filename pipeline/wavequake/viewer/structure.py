@@ -8,7 +8,7 @@ import numpy as np
 from wavequake.mechanics.assembly.bodies import GROUND
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.viewer.film import Array, Integers, Stage
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.systems.study import SystemStudy
 
 _BEAM, _LEG = "#8f98a3", "#c2a15a"
 _LEG_SHARE = 0.4  # of the thickness of a tube, where links have none

@@ -23,10 +23,10 @@ from wavequake.workflows.allow_motions import AllowedMotions, allowed_motions, o
 from wavequake.workflows.asked_sections import STATIC, AllowedSpectrumSection, AllowSection
 from wavequake.workflows.movable import Movable
 from wavequake.workflows.rare import chosen_disturbance, rare_study
-from wavequake.workflows.segments.segment_allow import segment_movable
-from wavequake.workflows.segments.segment_study import SegmentStudy
-from wavequake.workflows.systems.system_allow import system_movable
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.segments.allow import segment_movable
+from wavequake.workflows.segments.study import SegmentStudy
+from wavequake.workflows.systems.allow import system_movable
+from wavequake.workflows.systems.study import SystemStudy
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, int], None]

@@ -14,15 +14,15 @@ from wavequake.registry import note_own
 _GROUP = "wavequake.studies"
 # Each module has KIND. It is imported when its name is first asked for: commands that need none are quick.
 _BUNDLED = {
-    "segment-disturbance": "wavequake.workflows.segments.segment_disturbance",
-    "mirror-mor": "wavequake.workflows.mirrors.mirror_mor",
-    "segment-mor": "wavequake.workflows.segments.segment_mor",
-    "mirror-trace": "wavequake.workflows.mirrors.mirror_trace",
-    "system-disturbance": "wavequake.workflows.systems.system_disturbance",
+    "segment-disturbance": "wavequake.workflows.segments.disturbance",
+    "mirror-mor": "wavequake.workflows.mirrors.mor",
+    "segment-mor": "wavequake.workflows.segments.mor",
+    "mirror-trace": "wavequake.workflows.mirrors.trace",
+    "system-disturbance": "wavequake.workflows.systems.disturbance",
     "telescope-exposure": "wavequake.workflows.exposures.telescope_exposure",
     "mirror-exposure": "wavequake.workflows.exposures.mirror_exposure",
-    "lens-experiment": "wavequake.workflows.lens.lens_experiment",
-    "lens-passive": "wavequake.workflows.lens.lens_passive",
+    "lens-experiment": "wavequake.workflows.lens.experiment",
+    "lens-passive": "wavequake.workflows.lens.passive",
     "controller-mor": "wavequake.workflows.loops.controller_mor",
     "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
     "telescope-loop": "wavequake.workflows.loops.telescope_loop",

@@ -8,8 +8,8 @@ from wavequake.campaign.rare.certificate import RareProbability, estimated
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.population import Population
-from wavequake.workflows.segments.segment_rare import RareCases, rare_cases
-from wavequake.workflows.segments.segment_study import SegmentStudy, without_images
+from wavequake.workflows.segments.rare import RareCases, rare_cases
+from wavequake.workflows.segments.study import SegmentStudy, without_images
 from wavequake.workflows.study import study_with
 
 DRAWS = 50_000

@@ -20,7 +20,7 @@ from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.segments.prepared import prepare
 from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
 from wavequake.workflows.segments.bench import Bench, bench_of
-from wavequake.workflows.segments.segment_study import SegmentStudy, segment_text
+from wavequake.workflows.segments.study import SegmentStudy, segment_text
 from wavequake.workflows.sensitivity_source import sensitivity_study
 from wavequake.workflows.study import study_with
 
@@ -89,8 +89,8 @@ def stored_sensitivity(
         If what is there cannot be read.
     """
     if study.study.workflow in ("system-disturbance", "system-loop"):
-        from wavequake.workflows.systems.system_sensitivity import stored_system_sensitivity
-        from wavequake.workflows.systems.system_study import SystemStudy
+        from wavequake.workflows.systems.sensitivity import stored_system_sensitivity
+        from wavequake.workflows.systems.study import SystemStudy
 
         assert isinstance(study, SystemStudy)
         study = study.disturbed
@@ -117,7 +117,7 @@ def stored_sensitivity(
 def _telescope_text(study: Study) -> str:
     """Return the identity text of the segment-disturbance study whose telescope a study looks through."""
     if study.study.workflow == "segment-mor":
-        from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy, telescope_study
+        from wavequake.workflows.segments.mor_study import SegmentMorStudy, telescope_study
 
         assert isinstance(study, SegmentMorStudy)
         return telescope_study(study).identity_text()

@@ -22,7 +22,7 @@ from wavequake.report.table import number
 from wavequake.workflows.allow import Allowances
 from wavequake.workflows.asked_sections import RMS, STATIC, AllowSection
 from wavequake.workflows.limits import in_unit, unit_of
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.systems.study import SystemStudy
 
 Array = NDArray[np.float64]
 

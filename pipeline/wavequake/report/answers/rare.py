@@ -22,7 +22,7 @@ from wavequake.words import counted
 from wavequake.workflows.limits import in_unit, unit_of
 from wavequake.workflows.rare import modal_answer, rare_folder, rare_study
 from wavequake.workflows.run import run_study
-from wavequake.workflows.segments.segment_rare import RareCases
+from wavequake.workflows.segments.rare import RareCases
 
 _WIDE = 0.1  # share of the probability that a correction may leave open
 

@@ -20,7 +20,7 @@ from wavequake.report.answers.tail import per_case
 from wavequake.report.at_hand import device_at_hand
 from wavequake.report.table import MISSING, number
 from wavequake.workflows.kinds import find_kind
-from wavequake.workflows.segments.segment_control import MEASURES, modal_numbers
+from wavequake.workflows.segments.control import MEASURES, modal_numbers
 
 Progress = Callable[[int, int, int], None]
 

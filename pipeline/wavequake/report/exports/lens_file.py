@@ -7,8 +7,8 @@ from wavequake.errors import UserError
 from wavequake.optics.systems.freeze import frozen
 from wavequake.optics.systems.system import OpticalSystem, SystemStates
 from wavequake.optics.zemax.export import write_zmx
-from wavequake.workflows.systems.system_bench import system_bench, system_states
-from wavequake.workflows.systems.system_draws import draw
+from wavequake.workflows.systems.bench import system_bench, system_states
+from wavequake.workflows.systems.draws import draw
 
 _WORKFLOWS = ("system-disturbance",)
 

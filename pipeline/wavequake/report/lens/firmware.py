@@ -12,8 +12,8 @@ from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.mirrors.variants import few
 from wavequake.report.statistics import distribution
 from wavequake.report.table import number
-from wavequake.workflows.lens.lens_bench import study_of
-from wavequake.workflows.lens.lens_experiment import exact_of
+from wavequake.workflows.lens.bench import study_of
+from wavequake.workflows.lens.experiment import exact_of
 
 Array = NDArray[np.float64]
 _MOST_POINTS = 2000  # of a figure

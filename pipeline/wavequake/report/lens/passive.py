@@ -15,7 +15,7 @@ from wavequake.control.passive import modal_amplitudes
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
 from wavequake.report.page import Page, Section, picture, render_page, write_page
 from wavequake.report.table import number
-from wavequake.workflows.lens.lens_passive import PARAMETERS
+from wavequake.workflows.lens.passive import PARAMETERS
 
 _NAMES = {
     "lens_springs": "lens spring (N/m)",

@@ -21,7 +21,7 @@ from wavequake.report.page import Page, Picture, Section, picture, render_page, 
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 from wavequake.words import counted
-from wavequake.workflows.lens.lens_bench import bench_of, stage_of, study_of
+from wavequake.workflows.lens.bench import bench_of, stage_of, study_of
 
 Array = NDArray[np.float64]
 

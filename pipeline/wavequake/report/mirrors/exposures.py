@@ -18,7 +18,7 @@ from wavequake.report.mirrors.variants import few, left_out
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import frame_of
 from wavequake.report.table import MISSING, number, radius
-from wavequake.workflows.mirrors.mirror_bench import bench_of
+from wavequake.workflows.mirrors.bench import bench_of
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from wavequake.report.mirrors.deformed_body import bodies
 from wavequake.report.mirrors.variants import ModelResult, VariantResult, representatives
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number as shortened
-from wavequake.workflows.mirrors.mirror_shapes import PAIR
+from wavequake.workflows.mirrors.shapes import PAIR
 
 Array = NDArray[np.float64]
 

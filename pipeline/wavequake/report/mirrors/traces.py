@@ -16,7 +16,7 @@ from wavequake.report.mirrors import figures as draw
 from wavequake.report.mirrors.variants import few, left_out
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.mirrors.mirror_trace import MODAL, STANDARD
+from wavequake.workflows.mirrors.trace import MODAL, STANDARD
 
 # Stores of earlier versions displaced all nodes at every instant.
 _STANDARD = ("displacements", *STANDARD)

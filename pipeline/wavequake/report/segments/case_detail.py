@@ -19,11 +19,11 @@ from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report.segments.report import detail
 from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of, measured_opd
 from wavequake.workflows.exposures.telescope_exposure import case_blocks, scaled_draw
-from wavequake.workflows.lens import lens_experiment as lens
-from wavequake.workflows.lens.lens_bench import study_of
-from wavequake.workflows.mirrors import mirror_trace as mirror
-from wavequake.workflows.mirrors.mirror_base import driven
-from wavequake.workflows.mirrors.mirror_bench import (
+from wavequake.workflows.lens import experiment as lens
+from wavequake.workflows.lens.bench import study_of
+from wavequake.workflows.mirrors import trace as mirror
+from wavequake.workflows.mirrors.base import driven
+from wavequake.workflows.mirrors.bench import (
     bench_of,
     cases_of,
     drive_at,
@@ -31,19 +31,19 @@ from wavequake.workflows.mirrors.mirror_bench import (
     trace_study_of,
     variant_of,
 )
-from wavequake.workflows.mirrors.mirror_optics import displacements_mm
-from wavequake.workflows.mirrors.mirror_residual import coordinates_of, left_by, residual_of
+from wavequake.workflows.mirrors.optics import displacements_mm
+from wavequake.workflows.mirrors.residual import coordinates_of, left_by, residual_of
 from wavequake.workflows.segments.bench import bench_of as segment_bench
 from wavequake.workflows.segments.bench import field_names
-from wavequake.workflows.systems.system_bench import (
+from wavequake.workflows.systems.bench import (
     MM_PER_M,
     NM_PER_MM,
     at_instant,
     system_bench,
     system_states,
 )
-from wavequake.workflows.systems.system_draws import draw
-from wavequake.workflows.systems.system_measure import worst_instant
+from wavequake.workflows.systems.draws import draw
+from wavequake.workflows.systems.measure import worst_instant
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import xarray as xr
 
-from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.study import FULL
 
 _DIMS = ("field", "wavelength")
 _AT = re.compile(r"(.*) at (?:\([^()]*\) arcmin(?:, [0-9.e+]+ nm)?|[0-9.e+]+ nm)")

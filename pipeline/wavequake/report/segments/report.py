@@ -22,8 +22,8 @@ from wavequake.report.segments.fields import base_name, by_field, of_population,
 from wavequake.report.segments.vignetting import stopped_light
 from wavequake.report.table import terminal_table
 from wavequake.workflows.segments.bench import MAS_PER_RAD, Bench, bench_at, bench_of
+from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.launches import surface_states
-from wavequake.workflows.segments.segment_disturbance import draw
 
 _MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
 

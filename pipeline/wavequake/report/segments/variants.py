@@ -19,8 +19,8 @@ from wavequake.report.mirrors.variants import ModelResult, VariantResult, left_o
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.segments.detail import Detail
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
-from wavequake.workflows.segments.segment_mor import SHAKEN, at_rest, launches
-from wavequake.workflows.segments.segment_mor_bench import (
+from wavequake.workflows.segments.mor import SHAKEN, at_rest, launches
+from wavequake.workflows.segments.mor_bench import (
     chosen_segments,
     model_of,
     motions,

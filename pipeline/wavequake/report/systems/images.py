@@ -11,7 +11,7 @@ from wavequake.report.exposures.figures import Panel, exposure_panels
 from wavequake.report.exposures.psf_figures import image_row
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
-from wavequake.workflows.systems.system_bench import SystemBench, field_name
+from wavequake.workflows.systems.bench import SystemBench, field_name
 
 _FIELDS = 4  # whose exposures a report shows; the store has all
 

@@ -12,8 +12,8 @@ from wavequake.campaign.store.retention import STATISTICS
 from wavequake.report.histories import has_histories
 from wavequake.report.statistics import Jitter, case_rms, jitter_of_cases
 from wavequake.report.uncertain import PartedResult, parted_results
-from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.systems.system_bench import SystemBench
+from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.systems.bench import SystemBench
 
 Array = NDArray[np.float64]
 

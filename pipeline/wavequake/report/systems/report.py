@@ -40,15 +40,15 @@ from wavequake.report.systems.populations import (
 from wavequake.report.table import interval, number, radius, share
 from wavequake.report.vibration import histories_and_spectra
 from wavequake.words import counted
-from wavequake.workflows.systems.system_bench import (
+from wavequake.workflows.systems.bench import (
     SystemBench,
     at_instant,
     field_name,
     system_bench,
     system_states,
 )
-from wavequake.workflows.systems.system_draws import draw
-from wavequake.workflows.systems.system_measure import worst_instant
+from wavequake.workflows.systems.draws import draw
+from wavequake.workflows.systems.measure import worst_instant
 
 Array = NDArray[np.float64]
 

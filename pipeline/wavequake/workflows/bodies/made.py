@@ -25,8 +25,8 @@ from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import covers, reduce_variants, reference
 from wavequake.workflows.bodies.mirrors import glass_side, material_of, mirror_behind
 from wavequake.workflows.bodies.sections import BodySection, ModesBodySection
-from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.model_store import digest, kept_intermediate, kept_model
+from wavequake.workflows.mirrors.study import FULL
 
 Array = NDArray[np.float64]
 

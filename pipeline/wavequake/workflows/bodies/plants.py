@@ -17,7 +17,7 @@ from wavequake.optics.systems.system import OpticalSystem
 from wavequake.words import counted
 from wavequake.workflows.bodies.made import MM_PER_M, behind, elastic_body, given_body
 from wavequake.workflows.bodies.sections import BodySection, LinkSection, StructureSection
-from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.study import FULL
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from wavequake.mechanics.importers.model import PAD_DOFS, PADS, TRIANGLE, ZERO_R
 from wavequake.mechanics.importers.pads import PadDofs, PadKind
 from wavequake.mechanics.nodal.modes import FORMATS as MODE_FILES
 from wavequake.workflows.mirrors.compared_models import ComparedSection, canonical
-from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.study import FULL
 
 Place = Annotated[float, Field(ge=-1e7, le=1e7)]  # mm: within 10 km
 Point = Annotated[tuple[Place, Place, Place], Field(strict=False)]

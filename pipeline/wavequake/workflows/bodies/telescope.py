@@ -8,9 +8,9 @@ from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.workflows.bodies.plants import Masses, compared_bodies, elastic_names
 from wavequake.workflows.bodies.sections import StructureSection
 from wavequake.workflows.bodies.segments import CarryingBodies
-from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.segment_body import segment_plant
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.segments.study import SegmentStudy
 
 _SEGMENT = "segment"
 

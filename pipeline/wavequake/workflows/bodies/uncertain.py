@@ -9,7 +9,7 @@ from wavequake.mechanics.assembly.uncertain import Spread, drawn
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.workflows.bodies.plants import measured_modes
 from wavequake.workflows.bodies.sections import StructureSection
-from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.study import FULL
 
 
 def uncertain_plant(

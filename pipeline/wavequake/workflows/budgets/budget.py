@@ -35,14 +35,15 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import Combine
 from wavequake.prepared import one_thread, prepared
 from wavequake.words import counted, lasting
-from wavequake.workflows.budgets import budget_segments, budget_systems
-from wavequake.workflows.budgets.budget_factors import Experiment
+from wavequake.workflows.budgets import segments as budget_segments
+from wavequake.workflows.budgets import systems as budget_systems
 from wavequake.workflows.budgets.dataset import budget_dataset, with_allocations
+from wavequake.workflows.budgets.factors import Experiment
 from wavequake.workflows.budgets.kept import SCHEMA, open_budget
 from wavequake.workflows.budgets.tree import Branch, allocations
 from wavequake.workflows.kinds import find_kind
-from wavequake.workflows.segments.segment_study import SegmentStudy
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.segments.study import SegmentStudy
+from wavequake.workflows.systems.study import SystemStudy
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.workflows.budgets.budget_factors import Experiment
+from wavequake.workflows.budgets.factors import Experiment
 from wavequake.workflows.budgets.indices import Estimate, removed_shares, variance_shares
 from wavequake.workflows.budgets.tree import RolledUp, rolled_up
 

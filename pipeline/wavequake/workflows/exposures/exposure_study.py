@@ -9,8 +9,8 @@ from wavequake.campaign.schema import Section
 from wavequake.chain.images.extended import ObjectSection
 from wavequake.chain.images.picture import embed_picture
 from wavequake.optics.polynomials.zernike import MOST_TERMS
-from wavequake.workflows.mirrors.mirror_study import MirrorStudy
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.mirrors.study import MirrorStudy
+from wavequake.workflows.segments.study import SegmentStudy
 
 
 class ExposureSection(Section):

@@ -34,8 +34,8 @@ from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
-from wavequake.workflows.mirrors import mirror_bench
-from wavequake.workflows.mirrors.mirror_bench import (
+from wavequake.workflows.mirrors import bench as mirror_bench
+from wavequake.workflows.mirrors.bench import (
     aberrations_over_time,
     bench_of,
     case_table,
@@ -47,7 +47,7 @@ from wavequake.workflows.mirrors.mirror_bench import (
     time_of,
     variant_of,
 )
-from wavequake.workflows.mirrors.mirror_optics import Optics, optical_rows
+from wavequake.workflows.mirrors.optics import Optics, optical_rows
 
 Array = NDArray[np.float64]
 

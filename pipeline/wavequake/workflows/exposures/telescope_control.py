@@ -26,7 +26,7 @@ from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 from wavequake.workflows.segments.images import energy_scale, images_of_rays
-from wavequake.workflows.segments.segment_study import segment_text
+from wavequake.workflows.segments.study import segment_text
 
 Array = NDArray[np.float64]
 

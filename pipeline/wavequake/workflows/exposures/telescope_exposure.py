@@ -50,11 +50,11 @@ from wavequake.workflows.exposures.telescope_control import (
     rigid_tilt,
     trace,
 )
-from wavequake.workflows.segments import segment_disturbance
+from wavequake.workflows.segments import disturbance as segment_disturbance
 from wavequake.workflows.segments.bench import MAS_PER_RAD
+from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.launches import CaseDraw, surface_states
-from wavequake.workflows.segments.segment_disturbance import draw
-from wavequake.workflows.segments.segment_study import segment_text
+from wavequake.workflows.segments.study import segment_text
 
 Array = NDArray[np.float64]
 

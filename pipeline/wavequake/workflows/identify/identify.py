@@ -23,8 +23,8 @@ from wavequake.workflows.identify.explain import (
     measured_modes,
 )
 from wavequake.workflows.identify.seen import Seen, rank_of, seen_by, unseen
-from wavequake.workflows.segments.segment_study import SegmentStudy
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.segments.study import SegmentStudy
+from wavequake.workflows.systems.study import SystemStudy
 
 Array = NDArray[np.float64]
 

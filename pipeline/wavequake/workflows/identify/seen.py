@@ -14,9 +14,9 @@ from wavequake.mechanics.telemetry.columns import ANGLES, SIGHT, WAVEFRONT, Chan
 from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
 from wavequake.optics.derivatives.sensitivity import rigid_sensitivity
 from wavequake.optics.systems.paraxial import paraxial
-from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.systems.system_bench import MM_PER_M, SystemBench, system_bench
-from wavequake.workflows.systems.system_study import WITHOUT_IMAGES, SystemStudy
+from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.systems.bench import MM_PER_M, SystemBench, system_bench
+from wavequake.workflows.systems.study import WITHOUT_IMAGES, SystemStudy
 
 Array = NDArray[np.float64]
 

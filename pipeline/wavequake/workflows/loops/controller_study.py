@@ -6,7 +6,7 @@ from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study
 from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
-from wavequake.workflows.mirrors.mirror_study import VariantsSection
+from wavequake.workflows.mirrors.study import VariantsSection
 
 
 class SupportedModelSection(Section):

@@ -31,7 +31,7 @@ _LOOPS = {
     "telescope-loop": "wavequake.workflows.loops.telescope_margins",
     "system-loop": "wavequake.workflows.loops.system_loop",
     "segment-control": "wavequake.workflows.loops.segment_control",
-    "lens-experiment": "wavequake.workflows.lens.lens_loops",
+    "lens-experiment": "wavequake.workflows.lens.loops",
 }
 
 

@@ -18,11 +18,11 @@ from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
-from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, system_states
-from wavequake.workflows.systems.system_disturbance import prepare
-from wavequake.workflows.systems.system_draws import drawn_with
-from wavequake.workflows.systems.system_streaks import flat, light_gains, streaked_times
+from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.systems.bench import NM_PER_MM, SystemBench, system_states
+from wavequake.workflows.systems.disturbance import prepare
+from wavequake.workflows.systems.draws import drawn_with
+from wavequake.workflows.systems.streaks import flat, light_gains, streaked_times
 
 # A straight line between two instants is at most this far, rms, off what is seen of a disturbance.
 _STRAIGHT = 0.01
@@ -66,7 +66,7 @@ class SystemOptics:
     mm : float
         Image motion, mm, of one unit of line of sight.
     gain : ndarray, shape (columns, K)
-        What is seen per motion, see `wavequake.workflows.systems.system_streaks.flat`.
+        What is seen per motion, see `wavequake.workflows.systems.streaks.flat`.
     sights : dict of ndarray, shape (K, p)
     times : tuple of Times or None
         Of each population that has cases.

@@ -30,14 +30,14 @@ from wavequake.workflows.loops.curves import curves, frequencies
 from wavequake.workflows.loops.loop_margins import Makers, linear_loops
 from wavequake.workflows.loops.system_light import SystemOptics, drawn_at, moved, optics_of, seen_of
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
-from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.systems import system_disturbance
-from wavequake.workflows.systems.system_bench import imager_on
-from wavequake.workflows.systems.system_draws import drawn_with
-from wavequake.workflows.systems.system_measure import measured_cases
-from wavequake.workflows.systems.system_measures import axes as system_axes
-from wavequake.workflows.systems.system_streaks import places_between, places_of_rows
-from wavequake.workflows.systems.system_variants import slot_of
+from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.systems import disturbance as system_disturbance
+from wavequake.workflows.systems.bench import imager_on
+from wavequake.workflows.systems.draws import drawn_with
+from wavequake.workflows.systems.measure import measured_cases
+from wavequake.workflows.systems.measures import axes as system_axes
+from wavequake.workflows.systems.streaks import places_between, places_of_rows
+from wavequake.workflows.systems.variants import slot_of
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from pydantic import model_validator
 
 from wavequake.chain.loops.blocks import LoopBlocks
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.systems.study import SystemStudy
 
 _OTHERS = ("reduction", "allow", "budget")
 

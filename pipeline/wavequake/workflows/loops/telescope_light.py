@@ -29,8 +29,8 @@ from wavequake.workflows.exposures.telescope_control import ControlBench, imaged
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M
 from wavequake.workflows.segments.launches import CaseDraw
-from wavequake.workflows.segments.segment_model import knows, model_of, motion_rows
-from wavequake.workflows.segments.segment_study import segment_text
+from wavequake.workflows.segments.model import knows, model_of, motion_rows
+from wavequake.workflows.segments.study import segment_text
 from wavequake.workflows.segments.vignetting import require_all_rays
 
 # Half width of central differences of rigid motions, mm and rad.

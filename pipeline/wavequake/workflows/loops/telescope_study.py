@@ -9,7 +9,7 @@ from wavequake.campaign.schema import Section
 from wavequake.chain.loops.blocks import LoopBlocks, require_own_names
 from wavequake.chain.loops.structure import CarryingMode
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.study import SegmentStudy
 
 _ROUNDING = 1e-9
 

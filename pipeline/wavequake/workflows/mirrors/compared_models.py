@@ -10,7 +10,7 @@ from wavequake.campaign.contract import Fixed
 from wavequake.campaign.schema import Section
 from wavequake.errors import UserError
 from wavequake.reduction.names import parse
-from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.study import FULL
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from wavequake.errors import UserError
 from wavequake.reduction.names import parse
 from wavequake.reduction.own import OWN
 from wavequake.user_files import read_npz
-from wavequake.workflows.mirrors.mirror_study import FULL, AnyMirrorStudy
+from wavequake.workflows.mirrors.study import FULL, AnyMirrorStudy
 
 Array = NDArray[np.float64]
 

@@ -21,9 +21,9 @@ from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import covers, reduce_variants, reference
-from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.model_store import DAMPING, digest, kept_intermediate
 from wavequake.workflows.mirrors.segment_section import ElasticSegmentSection, SegmentModelSection
+from wavequake.workflows.mirrors.study import FULL
 
 Array = NDArray[np.float64]
 

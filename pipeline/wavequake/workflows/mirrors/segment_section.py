@@ -9,7 +9,7 @@ from wavequake.mechanics.mirrors.material import GLASS_CERAMIC
 from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
 from wavequake.mechanics.model import RayleighDamping
 from wavequake.workflows.mirrors.compared_models import canonical
-from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.study import FULL
 
 
 class SegmentModelSection(Section):

@@ -37,8 +37,8 @@ from wavequake.optics.wavefronts.sphere_fit import reference_fit
 from wavequake.prepared import prepared
 from wavequake.workflows.bodies.segments import CarryingBodies, carrying_bodies
 from wavequake.workflows.bodies.telescope import elastic_segments, masses_of, with_bodies
-from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.segments.study import SegmentStudy
 from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest
 
 MM_PER_M = 1e3

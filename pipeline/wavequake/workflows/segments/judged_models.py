@@ -8,10 +8,10 @@ import numpy as np
 from wavequake.campaign.contract import DONE, ChunkResult
 from wavequake.campaign.measures import Measure, stored
 from wavequake.workflows.mirrors.compared_models import ERRORS, model_errors, rms_of
-from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.bench import Bench, benches_of, in_basis
 from wavequake.workflows.segments.launches import CaseDraw
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.study import SegmentStudy
 
 
 def error_measures(study: SegmentStudy, places: tuple[str, ...]) -> Iterator[Measure]:

@@ -14,7 +14,7 @@ from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.wavefronts.record import Wavefront
-from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.bench import MM_PER_M, Bench
 
 Array = NDArray[np.float64]

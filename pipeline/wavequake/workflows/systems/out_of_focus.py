@@ -9,7 +9,7 @@ from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 
 if TYPE_CHECKING:
-    from wavequake.workflows.segments.segment_study import SegmentStudy
+    from wavequake.workflows.segments.study import SegmentStudy
 
 _SPHERICAL = 1.0 / (
     6.0 * sqrt(5.0)

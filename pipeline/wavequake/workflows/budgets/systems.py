@@ -1,0 +1,225 @@
+"""The budget of a system-disturbance study: its sources and the surfaces and bodies that they move."""
+
+from collections.abc import Sequence, Set
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.campaign.measures import template_of
+from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.system import SystemImager
+from wavequake.kernels.device.devices import choose_device
+from wavequake.mechanics.disturbances.element_motion import (
+    ElementMotion,
+    add_elements,
+    draw_elements,
+)
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
+from wavequake.mechanics.disturbances.registry import Combine, instants_of, parts
+from wavequake.mechanics.disturbances.source import Source
+from wavequake.workflows.budgets.factors import AGAIN, Experiment, Factor, chosen
+from wavequake.workflows.budgets.kept import LOSSES
+from wavequake.workflows.budgets.tree import SIGHT, Branch, Part, branches_of, require_free_names
+from wavequake.workflows.systems.bench import SystemBench, imager_on, system_bench
+from wavequake.workflows.systems.measure import measured_cases
+from wavequake.workflows.systems.measures import axes, measures
+from wavequake.workflows.systems.streaks import places_between, places_of_rows, streaked_times
+from wavequake.workflows.systems.study import SystemStudy
+
+Array = NDArray[np.float64]
+
+QUANTITIES = ("wfe_change", "wfe_rms", "image_motion")
+_OF_IMAGES = ("peak", "ee50", "ee80")
+_UM_PER_MM = 1e3
+
+
+def elements_of(sources: Sequence[Source], layout: SegmentLayout = NO_SEGMENTS) -> list[str]:
+    """Return the surfaces and bodies that disturbances move or deform, in the order of their mention.
+
+    None if it is one alone, whose share is that of its disturbances.
+    """
+    found = list(dict.fromkeys(name for part in sources for name in part.elements(layout)))
+    return found if len(found) > 1 else []
+
+
+def variants(
+    population: Combine,
+    sources: Sequence[Source],
+    seed: int,
+    realization: int,
+    layout: SegmentLayout = NO_SEGMENTS,
+    branches: Sequence[Branch] = (),
+    time: Array | None = None,
+) -> list[ElementMotion]:
+    """Return the motions of one case: of all factors, of all drawn again, without each, with each redrawn.
+
+    And those of each group alone. At the instants of the population, or at others given as `time`.
+    """
+    if time is None:
+        whole = population.model_copy(update={"of": tuple(part.name for part in sources)})
+        time = instants_of(sources, whole)
+    again = [part.model_copy(update={"name": part.name + AGAIN}) for part in sources]
+
+    def total(chosen: Sequence[Source]) -> ElementMotion:
+        if not chosen:
+            return ElementMotion({}, {}, np.zeros((len(time), 2)))
+        names = tuple(part.name for part in chosen)
+        whole = population.model_copy(update={"of": names})
+        return draw_elements(chosen, whole, seed, realization, time=time, layout=layout)
+
+    one, other = total(sources), total(again)
+    indices = range(len(sources))
+    without = [total([sources[k] for k in indices if k != i]) for i in indices]
+    redrawn = [total([again[k] if k == i else sources[k] for k in indices]) for i in indices]
+    for name in elements_of(sources, layout):
+        without.append(_with_element(one, ElementMotion({}, {}, one.sight), name))
+        redrawn.append(_with_element(one, other, name))
+    alone = [_alone([(part.name, total([part])) for part in sources], branch) for branch in branches]
+    return [one, other, *without, *redrawn, *alone]
+
+
+def _alone(drawn: Sequence[tuple[str, ElementMotion]], branch: Branch) -> ElementMotion:
+    """Return what a group moves, of the motions of all disturbances."""
+    found = ElementMotion({}, {}, np.zeros_like(drawn[0][1].sight))
+    for source, motion in drawn:
+        mine = {element for name, element in branch.parts if name == source}
+        found = add_elements(found, _of_elements(motion, mine))
+    return found
+
+
+def _of_elements(motion: ElementMotion, mine: Set[str]) -> ElementMotion:
+    """Return a motion in which some elements move alone."""
+
+    def chosen(named: dict[str, Array]) -> dict[str, Array]:
+        return {name: values for name, values in named.items() if name in mine}
+
+    sight = motion.sight if SIGHT in mine else np.zeros_like(motion.sight)
+    return ElementMotion(chosen(motion.rigid), chosen(motion.figure), sight, chosen(motion.grid))
+
+
+def moving_parts(drawn: Sequence[tuple[str, ElementMotion]]) -> frozenset[Part]:
+    """Return which elements each of some disturbances moves."""
+    found: set[Part] = set()
+    for source, motion in drawn:
+        for named in (motion.rigid, motion.figure, motion.grid):
+            found |= {(source, name) for name, values in named.items() if values.any()}
+        if motion.sight.any():
+            found.add((source, SIGHT))
+    return frozenset(found)
+
+
+def _with_element(motion: ElementMotion, other: ElementMotion, element: str) -> ElementMotion:
+    """Return a motion in which one surface or body moves and deforms as in another."""
+
+    def chosen(mine: dict[str, Array], theirs: dict[str, Array]) -> dict[str, Array]:
+        others = {name: values for name, values in mine.items() if name != element}
+        return others | {name: values for name, values in theirs.items() if name == element}
+
+    moved, figure = chosen(motion.rigid, other.rigid), chosen(motion.figure, other.figure)
+    return ElementMotion(moved, figure, motion.sight, chosen(motion.grid, other.grid))
+
+
+def evaluate(
+    bench: SystemBench,
+    time: Array,
+    motion: ElementMotion,
+    device: str,
+    quantities: Sequence[str] = QUANTITIES,
+    imager: SystemImager | None = None,
+    away: Array | None = None,
+) -> Array:
+    """Return quantities, rms over instants and field points, and the most rays lost at one of them (Q + 1,).
+
+    ``away`` (fields, exposed instants, m, 2) in mm is where the line of sight is between the instants. NaN
+    where a chief ray is lost, or too many others. Numbers of images are of all colors, the others of the
+    primary wavelength.
+    """
+    [(found, trouble)] = measured_cases(
+        bench, [(time, motion)], choose_device(device), Stopwatch(), imager, [away]
+    )
+    if trouble:
+        return np.full(len(quantities) + 1, np.nan)
+    light = bench.system.primary_wavelength if len(bench.prepared[0]) > 1 else 0
+    found["image_motion"] = np.linalg.norm(found["los_mm"], axis=-1) * _UM_PER_MM
+    values = []
+    for name in quantities:
+        one = found[name]
+        if one.ndim > 1 and one.shape[1:3] == (len(bench.prepared), len(bench.prepared[0])):
+            one = one[:, :, light]  # (time, field, wavelength, ...)
+        lost = 1.0 - one if name in LOSSES else one
+        values.append(np.sqrt(np.mean(np.sum(lost.reshape(*lost.shape[:2], -1) ** 2, axis=-1))))
+    return np.array([*values, found["lost"].max()])
+
+
+def experiment(
+    study: SystemStudy, population: Combine, device: str, measure: str | None = None
+) -> Experiment:
+    """Return how the cases of a sum of disturbances are varied and traced, at the primary wavelength.
+
+    Raises
+    ------
+    UserError
+        If there is no number `measure` of a case.
+    """
+    bench = system_bench(study.identity_text())
+    numbers = template_of(measures(study, {}), axes(bench)).per_case
+    quantities, units = chosen(measure, QUANTITIES, numbers)
+    imager = imager_on(bench.text, device) if measure in _OF_IMAGES else None
+    if imager is None:
+        light = bench.system.primary_wavelength
+        bench = replace(
+            bench,
+            prepared=tuple((row[light],) for row in bench.prepared),
+            static=tuple((row[light],) for row in bench.static),
+        )
+    sources = parts(study.disturbance, population)
+    names, time = elements_of(sources, bench.layout), instants_of(study.disturbance, population)
+    factors = [Factor(part.name, "source", len(part.elements(bench.layout))) for part in sources]
+    together = {
+        name for part in sources if part.independent == "whole" for name in part.elements(bench.layout)
+    }
+    factors += [Factor(name, "element", 1, independent=name not in together) for name in names]
+
+    def drawn(part: Source) -> ElementMotion:
+        alone = population.model_copy(update={"of": (part.name,)})
+        return draw_elements(sources, alone, study.study.seed, 0, time=time, layout=bench.layout)
+
+    moving = moving_parts([(part.name, drawn(part)) for part in sources]) if study.budget else frozenset()
+    require_free_names(study.budget, [factor.name for factor in factors])
+    branches = branches_of(study.budget, moving, {})
+
+    between = None if imager is None else streaked_times(study, population)
+
+    def case_of(realization: int) -> list[Array]:
+        def moved(at: Array | None = None) -> list[ElementMotion]:
+            seed = study.study.seed
+            return variants(population, sources, seed, realization, bench.layout, branches, at)
+
+        motions = moved()
+        away = [places_of_rows(bench, population, one) for one in motions]
+        if between is not None:
+            away = [places_between(bench, between.shape, one) for one in moved(between.ravel())]
+        return [
+            evaluate(bench, time, motion, device, quantities, imager, there)
+            for motion, there in zip(motions, away, strict=True)
+        ]
+
+    def values(first: int, last: int) -> Array:
+        return np.array([case_of(one) for one in range(first, last)])
+
+    def rest() -> Array:
+        still = ElementMotion({}, {}, np.zeros((len(time), 2)))
+        return evaluate(bench, time, still, device, quantities, imager)
+
+    return Experiment(
+        tuple(factors),
+        branches,
+        quantities,
+        1,
+        values,
+        rest,
+        rays=study.optics.rays,
+        light="All numbers are those of fits that go on over the full pupil, also where no light arrives.",
+        units=units,
+    )

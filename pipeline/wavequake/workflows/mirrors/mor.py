@@ -1,0 +1,298 @@
+"""The workflow "mirror-mor": variants of model order reduction, compared in optical units.
+
+A case is one variant of one model. Its frequency responses, mode shapes and time responses are compared with
+those of the reference, mechanically and in what the mirror does to the light.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.campaign.contract import ChunkResult, StudyKind, Template
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
+from wavequake.campaign.one_by_one import one_by_one
+from wavequake.chain.images.camera import frame_axes
+from wavequake.imaging.engines.zernike_psf import zernike_sum
+from wavequake.kernels.device.devices import NUMPY, Device, choose_device
+from wavequake.mechanics.model import ReducedModel
+from wavequake.reduction.metrics import (
+    eps_mor,
+    eps_of,
+    frobenius,
+    mac,
+    pseudo_frequencies,
+    receptance,
+    surface_modes,
+)
+from wavequake.workflows.mirrors.bench import (
+    Answers,
+    Bench,
+    answers_of,
+    bench_of,
+    case_table,
+    cases_of,
+    check_variants_of,
+    frequencies_of,
+    imager_of,
+    import_notices,
+    import_record,
+    over_time,
+    spot_check,
+    study_of,
+    time_of,
+    variant_of,
+)
+from wavequake.workflows.mirrors.compared_models import checked_models
+from wavequake.workflows.mirrors.optics import Optics, figure_rows, mode_residuals, optical_rows
+from wavequake.workflows.mirrors.shapes import (
+    MOST_TERMS,
+    SHOWN_MODES,
+    mode_shapes,
+    node_row,
+    rim_angle,
+)
+from wavequake.workflows.mirrors.study import MirrorStudy
+
+Array = NDArray[np.float64]
+
+# Coefficients whose frequency responses are kept one by one (Störkle 2018, Fig. 4.29), modes of the MAC, and
+# modes whose fit is judged.
+SHOWN_TERMS = 15
+MODES = 40
+FITTED_MODES = 120
+_UM_PER_MM = 1e3
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Reduce and judge the variants `cases`; one that does not suit the model is quarantined."""
+    study, device = study_of(study_text), choose_device(device_name)
+    variants = cases_of(study)
+
+    def of_case(case: int) -> dict[str, Array | float]:
+        name, variant = variants[case]
+        return judged(study, bench_of(study_text, name), answers_of(study_text, name), variant, device)
+
+    return one_by_one(template_of(_measures(), _axes(study)).per_case, cases, of_case)
+
+
+def judged(
+    study: MirrorStudy, bench: Bench, answers: Answers, variant: str, device: Device
+) -> dict[str, Array | float]:
+    """Return all stored numbers of one variant."""
+    is_reference = variant == study.reduction.reference
+    reduced = answers.reference if is_reference else variant_of(bench, variant)
+    optics = bench.optics
+    rows = optical_rows(optics, reduced)
+    frequencies = frequencies_of(study)
+    mechanical, (frf_opt, eps_opt) = (
+        receptance(reduced, frequencies),
+        eps_of(answers.optical, reduced, frequencies, rows[3:]),
+    )
+    aberrations, node, shapes = over_time(
+        study, reduced, rows, node_row(reduced), figure_rows(optics, reduced)
+    )
+    peaks = _wavefront_error(answers.aberrations).argmax(axis=1)
+    figures, wavefronts = mode_shapes(optics, reduced)
+    apart = aberrations - answers.aberrations
+    images = exposures(study, optics, aberrations, device)
+    shown = np.full((len(frequencies), SHOWN_TERMS - 1), np.nan)
+    kept = min(SHOWN_TERMS, optics.terms) - 1
+    shown[:, :kept] = np.linalg.norm(receptance(reduced, frequencies, rows[3 : 3 + kept]), axis=2)
+    return {
+        "order": float(reduced.order),
+        "reduce_seconds": reduced.seconds,
+        "pseudo_frequency_max": float(pseudo_frequencies(reduced)[-1]),
+        "frf_mech": frobenius(mechanical),
+        "eps_mech": eps_mor(answers.mechanical, mechanical),
+        "frf_opt": frf_opt,
+        "eps_opt": eps_opt,
+        "frf_zernike": shown,
+        "mac": _mac(answers.reference, reduced),
+        "mode_frequency": _padded(pseudo_frequencies(reduced), MODES),
+        "fit_residual": _padded(mode_residuals(optics, reduced), FITTED_MODES),
+        "wfe_rms": _wavefront_error(aberrations),
+        "wfe_error": _wavefront_error(apart),
+        "los_mm": aberrations[..., :2],
+        "los_error": np.linalg.norm(apart[..., :2], axis=2),
+        "resolution_mm": optics.resolution,
+        "exposure": images,
+        "image_error": _image_error(images, reference_exposures(study, bench, answers, device)),
+        "obscuration": optics.obscuration,
+        "mode_figure": _padded(figures, SHOWN_MODES, terms_of(study)),
+        "mode_wavefront": _padded(wavefronts, SHOWN_MODES, terms_of(study)),
+        "peak_wavefront": _padded(aberrations[np.arange(len(peaks)), peaks, 2:], len(peaks), terms_of(study)),
+        "peak_figure": _padded(
+            _UM_PER_MM * shapes[np.arange(len(peaks)), peaks], len(peaks), terms_of(study)
+        ),
+        "node_motion": node[..., 0],
+        "node_angle": rim_angle(reduced),
+    }
+
+
+def terms_of(study: MirrorStudy) -> int:
+    """Return for how many Noll terms the shapes of all models have room."""
+    return study.optics.zernike_terms or MOST_TERMS
+
+
+def _wavefront_error(aberrations: Array) -> Array:
+    """Return the rms of the Zernike terms j >= 4, which is the root of the sum of their squares."""
+    rms: Array = np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1))
+    return rms
+
+
+def _padded(values: Array, *shape: int) -> Array:
+    filled = np.full(shape, np.nan)
+    kept = tuple(slice(min(own, room)) for own, room in zip(values.shape, shape, strict=True))
+    filled[kept] = values[kept]
+    return filled
+
+
+def _mac(whole: ReducedModel, reduced: ReducedModel) -> Array:
+    """Return the MAC of a variant's first modes with those of the reference, at the surface nodes."""
+    table = np.full((MODES, MODES), np.nan)
+    found = mac(surface_modes(reduced)[:, :MODES], surface_modes(whole)[:, :MODES])
+    table[: found.shape[0], : found.shape[1]] = found
+    return table
+
+
+def exposures(study: MirrorStudy, optics: Optics, aberrations: Array, device: Device = NUMPY) -> Array:
+    """Return the mean image over the time response of each excitation, (excitation, pixels, pixels).
+
+    Image axes are those of the image plane. The line of sight places an image, and c_4 and on shape it: c_2
+    and c_3 are about the chief ray, which moves with the mirror.
+    """
+    section, terms = study.imaging, aberrations.shape[2] - 2
+    grid = section.pupil_samples, section.pixels, section.sampling
+    imager = imager_of(*grid, terms, optics.obscuration, device)
+    count = min(section.instants, aberrations.shape[1])
+    instants = np.unique(np.linspace(0, aberrations.shape[1] - 1, count).round().astype(int))
+    shown = section.scale * aberrations[:, instants]
+    # Beyond the Nyquist frequency of the pupil's cells an image would come back on the other side.
+    farthest = 0.5 * section.pupil_samples
+    places = np.clip(shown[..., :2] / optics.resolution, -farthest, farthest)
+    # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
+    waves = shown[..., 2:] / -study.optics.wavelength_nm
+    waves[..., :3] = 0.0
+    waves[..., 1:3] = 0.25 * np.sqrt(1.0 + optics.obscuration**2) * places
+    shares = np.full(len(instants), 1.0 / len(instants))
+    return np.array([zernike_sum(imager, one, shares, check=False) for one in waves])
+
+
+_REFERENCES: dict[tuple[str, str, str], Array] = {}
+
+
+def reference_exposures(study: MirrorStudy, bench: Bench, answers: Answers, device: Device) -> Array:
+    """Return the exposures of the reference, computed once per process and device."""
+    key = (study.identity(), bench.name, device.name)
+    if key not in _REFERENCES:
+        _REFERENCES[key] = exposures(study, bench.optics, answers.aberrations, device)
+    return _REFERENCES[key]
+
+
+def _image_error(images: Array, reference: Array) -> Array:
+    """Return the L2 norms of the differences of unit-energy images, (excitation,)."""
+    one, two = (part / part.sum(axis=(1, 2), keepdims=True) for part in (images, reference))
+    return np.asarray(np.sqrt(np.sum((one - two) ** 2, axis=(1, 2))))
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = study_of(study_text)
+    checks = [spot_check(study, name) for name in study.models]
+    return template_of(
+        _measures(), _axes(study), checked_models(study.models, checks) | import_record(study_text)
+    )
+
+
+def _measures() -> Iterator[Measure]:
+    history, spectrum = ("excitation", "time"), ("frequency",)
+    yield stored("order", "1", "number of coordinates of the variant")
+    yield stored("reduce_seconds", "s", "time of the reduction", measured=True)
+    yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
+    yield stored("frf_mech", "m/N", "Frobenius norm of the receptance at the interfaces", spectrum)
+    yield stored("eps_mech", "1", "relative error of the receptance (Störkle 2018, Eq. 2.10)", spectrum)
+    words = "Frobenius norm of the mechanical-optical response, c_2 and on (Störkle 2018, Eq. 4.23)"
+    yield stored("frf_opt", "nm/N", words, spectrum)
+    yield stored("eps_opt", "1", "relative error of the mechanical-optical response", spectrum)
+    words = "norm over the inputs of each coefficient's response"
+    yield stored("frf_zernike", "nm/N", words, ("frequency", "noll"))
+    words = "modal assurance criterion at the optical surface"
+    yield stored("mac", "1", words, ("mode", "reference_mode"))
+    yield stored("mode_frequency", "Hz", "eigenfrequencies of the variant", ("mode",))
+    words = "share of each mode that the Zernikes miss (Störkle 2018, Eq. 4.11)"
+    yield stored("fit_residual", "1", words, ("own_mode",))
+    yield stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4", history)
+    words = "rms of the difference of wavefronts from the reference's, j >= 4"
+    yield stored("wfe_error", "nm", words, history)
+    words = "line of sight in the image (Störkle 2018, Eq. 3.39)"
+    yield stored("los_mm", "mm", words, (*history, "axis"))
+    yield stored("los_error", "mm", "distance from the reference's line of sight", history)
+    words = "mean of the instants' images; 1 = peak of the perfect one"
+    yield stored("exposure", "1", words, ("excitation", "y", "x"))
+    words = "lambda/D in the image: wavelength times focal length over diameter"
+    yield stored("resolution_mm", "mm", words)
+    yield stored("image_error", "1", "L2 norm of the difference of unit-energy exposures", ("excitation",))
+    yield stored("obscuration", "1", "inner over outer radius of the pupil")
+    shapes, peaks = ("elastic_mode", "term"), ("excitation", "term")
+    words = "Noll coefficients of modes on the mirror, heights of rms 1"
+    yield stored("mode_figure", "1", words, shapes)
+    words = "Noll coefficients of the wavefronts of these modes at 1 um rms"
+    yield stored("mode_wavefront", "nm/um", words, shapes)
+    words = "Noll coefficients of the wavefront when that of the reference is worst"
+    yield stored("peak_wavefront", "nm", words, peaks)
+    words = "Noll coefficients of the mirror's figure, along the light, then"
+    yield stored("peak_figure", "um", words, peaks)
+    yield stored("node_angle", "deg", "where on the rim this node is, about the axis from x")
+    words = "motion along z of a node on the rim, far from the mounts"
+    yield stored("node_motion", "m", words, history)
+
+
+def _axes(study: MirrorStudy) -> dict[str, Axis]:
+    return {
+        "frequency": Axis(frequencies_of(study), "frequency", "Hz"),
+        "time": Axis(time_of(study), "time", "s"),
+        "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
+        "term": Axis(np.arange(1, terms_of(study) + 1), "Noll index of a shape"),
+        "noll": Axis(np.arange(2, SHOWN_TERMS + 1), "Noll index"),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+        **frame_axes(study.imaging.pixels, study.imaging.sampling),
+        **dict.fromkeys(("mode", "reference_mode"), Axis(MODES)),
+        "own_mode": Axis(FITTED_MODES),
+        "elastic_mode": Axis(SHOWN_MODES),
+    }
+
+
+def describe(study_text: str) -> dict[str, str]:
+    """Return the models and how well their intermediate bases stand for them, for the plan."""
+    study = study_of(study_text)
+    lines = {}
+    for name in study.models:
+        stage = bench_of(study_text, name).stage
+        frequencies, errors = spot_check(study, name)
+        worst = f", at most {errors.max():.1e} off the full model" if len(errors) else ""
+        lines[f"model {name}"] = (
+            f"{stage.full_order} degrees of freedom, intermediate {stage.order}{worst}"
+            + (f" at {', '.join(f'{one:.0f}' for one in frequencies)} Hz" if len(errors) else "")
+        )
+    return lines
+
+
+def check(study_text: str) -> None:
+    """Raise UserError where model, variants, excitations or optics do not fit."""
+    study = study_of(study_text)
+    for name in study.models:
+        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
+        answers_of(study_text, name)
+
+
+KIND = StudyKind(
+    "mirror-mor",
+    template,
+    case_table,
+    compute,
+    describe,
+    check=check,
+    notices=import_notices,
+    model=MirrorStudy,
+)

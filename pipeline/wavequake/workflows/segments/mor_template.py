@@ -1,0 +1,60 @@
+"""What a store of the workflow ``segment-mor`` holds: names, dimensions, units."""
+
+from collections.abc import Iterator
+
+from wavequake.campaign.contract import Template
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
+from wavequake.chain.images.camera import frame_axes
+from wavequake.workflows.mirrors.compared_models import checked_models
+from wavequake.workflows.segments.mor_bench import (
+    frequencies_of,
+    spot_check,
+    study_of,
+    time_of,
+    traced_instants,
+)
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = study_of(study_text)
+    axes = {
+        "frequency": Axis(frequencies_of(study), "frequency", "Hz"),
+        "time": Axis(time_of(study)[traced_instants(study)], "time of the traced instants", "s"),
+        "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+        **frame_axes(study.imaging.pixels, study.imaging.sampling),
+    }
+    return template_of(_measures(), axes, checked_models(["segment"], [spot_check(study_text)]))
+
+
+def _measures() -> Iterator[Measure]:
+    history, spectrum = ("excitation", "time"), ("frequency",)
+    yield stored("order", "1", "number of coordinates of the variant")
+    yield stored("reduce_seconds", "s", "time of the reduction", measured=True)
+    yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
+    yield stored("frf_mech", "m/N", "Frobenius norm of the receptance at the supports", spectrum)
+    yield stored("eps_mech", "1", "relative error of the receptance (Störkle 2018, Eq. 2.10)", spectrum)
+    words = "Frobenius norm of the response of the segment's Zernike coefficients, piston and tilt too"
+    yield stored("frf_opt", "nm/N", words, spectrum)
+    words = "relative error of the response of the segment's Zernike coefficients"
+    yield stored("eps_opt", "1", words, spectrum)
+    words = "rms over the rays on glass of the wavefront relative to rest, best-fit plane removed"
+    yield stored("wfe_rms", "nm", words, history)
+    words = "rms over the rays on glass of the difference from the reference's, best-fit plane removed"
+    yield stored("wfe_error", "nm", words, history)
+    words = "root of the sum of squares of the annular Zernikes j >= 4, relative to rest"
+    yield stored("wfe_zernike", "nm", words, history)
+    yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", history)
+    words = "line of sight relative to rest, in the image (Störkle 2018, Eq. 3.39)"
+    yield stored("los_mm", "mm", words, (*history, "axis"))
+    yield stored("los_error", "mm", "distance from the reference's line of sight", history)
+    words = "rms over the shaken segments of the rigid displacement along their normals"
+    yield stored("segment_piston_rms", "nm", words, history)
+    words = "rms over the shaken segments of the root of the sum of squares of their figure's coefficients"
+    yield stored("segment_figure_rms", "nm", words, history)
+    words = "mean of the instants' images; 1 = peak of the perfect one"
+    yield stored("exposure", "1", words, ("excitation", "y", "x"))
+    yield stored("image_error", "1", "L2 norm of the difference of unit-energy exposures", ("excitation",))
+    words = "lambda/D in the image: wavelength times focal length over diameter"
+    yield stored("resolution_mm", "mm", words)

@@ -1,0 +1,264 @@
+"""What a store of the workflow ``segment-disturbance`` holds: names, dimensions, units."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.campaign.contract import Fixed, Template, Variable
+from wavequake.campaign.engine.chunk_size import stored_bytes
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
+from wavequake.chain.images.camera import camera_axes, camera_measures, frame_axes
+from wavequake.chain.images.extended import lit_object_words
+from wavequake.optics.derivatives.central import DOFS
+from wavequake.prepared import prepared
+from wavequake.workflows.segments.bench import Bench, bench_of, benches_of, field_names, in_basis
+from wavequake.workflows.segments.exposures import object_at_rest
+from wavequake.workflows.segments.images import by_rays, camera_of
+from wavequake.workflows.segments.judged_models import error_measures
+from wavequake.workflows.segments.study import SegmentStudy
+
+Array = NDArray[np.float64]
+
+IMAGED = ("exposure", "peak", "ee50", "ee80", "exposure_focus", "object_image")
+# What is the same at all field points and wavelengths.
+OF_ALL_PLACES = ("time_s", "segment_piston_rms", "segment_motion")
+# What the modal model does not know.
+TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds if it keeps every instant."""
+    bench = bench_of(study_text)
+    found = Template(computed(study_text))
+    instants = max(population.instants for population in bench.study.disturbance)
+    motion = instants * len(bench.system.segments) * 6 * 8  # of all cases of a chunk at the same time
+    fixed = template_of((), _axes(bench), _fixed(bench)).fixed
+    return replace(found, fixed=fixed, working_bytes=stored_bytes(found) + motion)
+
+
+@prepared(maxsize=2)
+def computed(study_text: str) -> dict[str, Variable]:
+    """Return what is computed of each case, over all of its instants."""
+    variables, study = traced(study_text), bench_of(study_text).study
+    if study.rare is not None:
+        return {**variables, **template_of(_weights(), {}).per_case}
+    if study.optics.light == "traced":
+        return variables
+    return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | dict(
+        template_of(_modal(), {}).per_case
+    )
+
+
+@prepared(maxsize=2)
+def traced(study_text: str) -> dict[str, Variable]:
+    """Return what full traces, and images if the study wants them, tell of each case."""
+    variables, places = of_one_place(study_text), places_of(bench_of(study_text).study)
+    found = {
+        name: one if name in OF_ALL_PLACES else _at_places(one, places) for name, one in variables.items()
+    }
+    study = bench_of(study_text).study
+    if study.reduction is None:
+        return found
+    axes = {name: Axis(size) for name, size in places.items()}
+    return {**found, **template_of(error_measures(study, tuple(places)), axes).per_case}
+
+
+def places_of(study: SegmentStudy) -> dict[str, int]:
+    """Return the dimensions of field points and wavelengths, where a study has them, and their lengths."""
+    optics, found = study.optics, {}
+    if optics.fields_arcmin is not None:
+        found["field"] = len(optics.fields_arcmin)
+    if optics.wavelengths_nm is not None:
+        found["wavelength"] = len(optics.wavelengths_nm)
+    return found
+
+
+def over_places(places: dict[str, int], parts: Sequence[Array], axis: int) -> Array:
+    """Return arrays, of each place one, as one array whose dimensions of places begin at an axis."""
+    whole = np.stack(parts, axis=axis)
+    return whole.reshape(*whole.shape[:axis], *places.values(), *whole.shape[axis + 1 :])
+
+
+def _at_places(one: Variable, places: dict[str, int]) -> Variable:
+    """Return a variable at several places: after its instants, before the rest."""
+    axis = place_axis(one)
+    return replace(
+        one,
+        dims=(*one.dims[:axis], *places, *one.dims[axis:]),
+        shape=(*one.shape[:axis], *places.values(), *one.shape[axis:]),
+    )
+
+
+def place_axis(one: Variable) -> int:
+    """Return where places stand among the dimensions of a variable of one of them."""
+    return int(one.dims[:1] == ("time",))
+
+
+@prepared(maxsize=2)
+def of_one_place(study_text: str) -> dict[str, Variable]:
+    """Return what is told of each case at one field point and wavelength."""
+    bench = bench_of(study_text)
+    return dict(template_of(_measures(bench), _axes(bench)).per_case)
+
+
+def _weights() -> Iterator[Measure]:
+    """Yield what undoes that cases are drawn near a limit."""
+    words = "logarithm of the weight of the case: its density over that of the draws, which are near a limit"
+    yield stored("log_weight", "1", words)
+    words = "rms over the instants of what [rare] limits, by the modal model, in its unit"
+    yield stored("modal_value", "1", words)
+
+
+def _modal() -> Iterator[Measure]:
+    """Yield what tells of the modal model's error."""
+    words = (
+        "0: numbers of the modal model; 1: of the modal model, and traced in full to measure its error; "
+        "2: of full traces, as the motion is beyond the model's range"
+    )
+    yield stored("traced", "1", words, dtype="int8")
+    words = (
+        "bound of the rms over the rays of the second order that the modal model leaves out; inf where rays "
+        "may cross the edge of a segment"
+    )
+    yield stored("modal_bound", "nm", words)
+    for name, unit, over in (
+        ("wfe_rms_raw", "nm", "the instants"),
+        ("wfe_rms", "nm", "the instants"),
+        ("zernike", "nm", "instants and terms"),
+        ("los", "mas", "the instants"),
+        ("centroid", "mas", "the instants"),
+    ):
+        words = f"largest error over {over} of the {name} of the modal model, where the case was traced to "
+        yield stored(f"modal_error_{name}", unit, words + "measure it")
+
+
+def _measures(bench: Bench) -> Iterator[Measure]:
+    study, over = bench.study, ("time",)
+    words = "time of the instant; NaN beyond the population's instants"
+    yield stored("time_s", "s", words, over, coordinate=True)
+    words = "wavefront error rms of the fitted Zernikes j >= 4 (piston and tilt removed)"
+    yield stored("wfe_rms", "nm", words, over)
+    words = "wavefront error rms over the rays on glass, piston removed"
+    yield stored("wfe_rms_raw", "nm", words, over)
+    words = "peak to valley of the wavefront over the rays on glass about their best-fit plane"
+    yield stored("wfe_pv", "nm", words, over)
+    yield stored(
+        "zernike",
+        "nm",
+        _coefficients(study),
+        ("time", "noll"),
+        attrs=_over_annulus(bench),
+        unknown=int(study.wavefront.method == "slopes"),
+    )
+    words = (
+        "line of sight of the best-fit plane relative to rest "
+        "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
+    )
+    yield stored("los", "mas", words, ("time", "axis"))
+    words = "geometric centroid of the rays, relative to rest"
+    yield stored("centroid", "mas", words, ("time", "axis"))
+    words = "rms distance of the rays' image points from their centroid"
+    yield stored("spot_rms", "mas", words, over)
+    yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", over)
+    words = "rms over segments of the displacement along their normals"
+    yield stored("segment_piston_rms", "nm", words, over)
+    words = "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)"
+    yield stored("rayleigh", "1", words)
+    words = (
+        "share of instants with an rms over the rays on glass, piston and tilt removed, of at most "
+        "lambda/14 (Störkle 2018, Eq. 3.55)"
+    )
+    yield stored("marechal", "1", words)
+    words = "largest number of rays at an instant that miss the clear part of a mirror after M1"
+    yield stored("vignetted", "1", words)
+    if study.imaging.enabled:
+        yield from _image_measures(bench)
+    if "segment_motion" in study.store.keep:
+        words = "rigid motion in the segment's local frame (dz to the sky)"
+        yield stored("segment_motion", "m, rad", words, ("time", "segment", "dof"))
+
+
+def _image_measures(bench: Bench) -> Iterator[Measure]:
+    study = bench.study
+    words = "largest irradiance of the exposure, line of sight included; 1 = peak of the perfect image"
+    yield stored("peak", "1", words)
+    for share in (50, 80):
+        words = f"radius of {share} % encircled energy of the exposure; inf beyond the frame"
+        yield stored(f"ee{share}", "lambda/D", words)
+    words = "mean of the instants' point spread functions; 1 = peak of the perfect one"
+    engine = {"engine": "rays" if by_rays(bench) else "segments"}
+    yield stored("exposure", "1", words, ("y", "x"), attrs=engine)
+    if study.imaging.focus_um:
+        words = "exposure in planes behind the image; 1 = peak of the perfect image"
+        yield stored("exposure_focus", "1", words, ("focus", "y", "x"))
+    if study.object is not None:
+        yield stored("object_image", "1", "exposed image of " + lit_object_words(study.object), ("y", "x"))
+    yield from camera_measures(study.imaging.resolution, study.detector, ())
+
+
+def _axes(bench: Bench) -> dict[str, Axis]:
+    study, imaging = bench.study, bench.study.imaging
+    found = {
+        "time": Axis(max(population.instants for population in study.disturbance)),
+        "noll": Axis(np.arange(1, study.wavefront.zernike_terms + 1), "Noll index"),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+    }
+    if study.optics.fields_arcmin is not None:
+        found["field"] = Axis(field_names(study.optics.fields_arcmin), "field point")
+    if study.optics.wavelengths_nm is not None:
+        found["wavelength"] = Axis(study.optics.wavelengths_nm, "wavelength", "nm")
+    if imaging.enabled:
+        found |= frame_axes(imaging.pixels, imaging.sampling) | camera_axes(camera_of(bench))
+        if imaging.focus_um:
+            found["focus"] = Axis(imaging.focus_um, "distance behind the image", "um")
+    if "segment_motion" in study.store.keep:
+        found |= {"segment": Axis(bench.system.segments.names, "segment"), "dof": Axis(DOFS, "motion")}
+    return found
+
+
+def _fixed(bench: Bench) -> dict[str, Fixed]:
+    benches, places = benches_of(bench.text), places_of(bench.study)
+    rest = [in_basis(one, one.static.zernike[0]) * one.wavelength_nm for one in benches]
+    words = "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)"
+    fixed: dict[str, Fixed] = {
+        "zernike_static": (
+            (*places, "noll"),
+            over_places(places, rest, 0) if places else rest[0],
+            {"units": "nm", "long_name": words, **_over_annulus(bench)},
+        )
+    }
+    if (points := bench.study.optics.fields_arcmin) is not None:
+        for name, values in zip(("field_x", "field_y"), np.array(points).T, strict=True):
+            about = {"units": "arcmin", "long_name": f"field point along {name[-1]}"}
+            fixed[name] = (("field",), values, about)
+    if bench.study.imaging.enabled and (shown := bench.study.object) is not None:
+        still = [object_at_rest(one) for one in benches]
+        whole = over_places(places, still, 0) if places else still[0]
+        about = {"units": "1", "long_name": "image at rest of " + lit_object_words(shown)}
+        fixed["object_static"] = ((*places, "y", "x"), whole, about)
+    return fixed
+
+
+def _over_annulus(bench: Bench) -> dict[str, str]:
+    """Return over which annulus the polynomials of the stored coefficients are orthogonal, as a label."""
+    inner = bench.prepared.obscuration if bench.study.wavefront.basis == "annular" else 0.0
+    return {"obscuration": repr(float(inner))}
+
+
+def _coefficients(study: SegmentStudy) -> str:
+    """Say what the stored Zernike coefficients are."""
+    wavefront = study.wavefront
+    basis = {
+        "annular": "annular Noll Zernike coefficients, total",
+        "circular": "equivalent circular Noll Zernike coefficients (Störkle 2018, Eq. 3.53), total",
+    }[wavefront.basis]
+    return basis + wavefront_source(wavefront.method, wavefront.reference)
+
+
+def wavefront_source(method: str, reference: str) -> str:
+    """Say what coefficients are from and about, where it is not the path lengths about the chief ray."""
+    slopes = ", from the slopes of the rays (Störkle 2018, Eq. 4.20), which do not know piston"
+    fitted = ", about the best-fit sphere's image point (Störkle 2018, section 3.3.3)"
+    return slopes * (method == "slopes") + fitted * (reference == "fitted")

@@ -1,0 +1,181 @@
+"""The measures of a system-disturbance study, one record each, and the dimensions that they have."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.campaign.contract import Fixed
+from wavequake.campaign.measures import Axis, Measure, stored
+from wavequake.chain.images.camera import camera_axes, camera_measures, frame_axes
+from wavequake.chain.images.extended import lit_object_words
+from wavequake.chain.images.system import expose
+from wavequake.workflows.mirrors.compared_models import ERRORS
+from wavequake.workflows.segments.template import wavefront_source
+from wavequake.workflows.systems.bench import NM_PER_MM, SystemBench, field_name
+from wavequake.workflows.systems.measure import shaped, wavefront_numbers
+from wavequake.workflows.systems.modal import TRACED_ONLY, modal_measures
+from wavequake.workflows.systems.study import SystemStudy
+
+Array = NDArray[np.float64]
+
+_OVER = ("time", "field", "wavelength")
+_BASES = {
+    "annular": "Noll Zernike coefficients",
+    "circular": "equivalent circular Noll Zernike coefficients (Störkle 2018, Eq. 3.53)",
+}
+_SPHERES = {"chief": "the chief ray", "fitted": "the best-fit sphere"}
+
+
+def measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Measure]:
+    """Yield the measures of a study; `over_annulus` says over what its polynomials are orthogonal."""
+    if study.optics.light == "traced":
+        yield from _traced_measures(study, over_annulus)
+        return
+    yield from (one for one in _traced_measures(study, over_annulus) if one.name not in TRACED_ONLY)
+    yield from modal_measures(study)
+
+
+def _traced_measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Measure]:
+    yield stored(
+        "time_s", "s", "time of the instant; NaN beyond the population's instants", ("time",), coordinate=True
+    )
+    yield stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4", _OVER)
+    words = "rms of the wavefront's change from rest, of the fitted Zernikes j >= 4"
+    yield stored("wfe_change", "nm", words, _OVER)
+    words = "wavefront error rms over the rays that arrive, piston removed, tilt about the image point of "
+    yield stored("wfe_rms_raw", "nm", words + _SPHERES[study.wavefront.reference], _OVER)
+    yield stored("wfe_pv", "nm", "peak to valley of the wavefront about its best-fit plane", _OVER)
+    source = wavefront_source(study.wavefront.method, study.wavefront.reference)
+    yield stored(
+        "zernike",
+        "nm",
+        f"{_BASES[study.wavefront.basis]}, total{source}",
+        (*_OVER, "noll"),
+        attrs=over_annulus,
+        unknown=int(study.wavefront.method == "slopes"),
+    )
+    words = (
+        "line of sight of the best-fit plane in the image, relative to rest "
+        "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
+    )
+    yield stored("los_mm", "mm", words, (*_OVER, "axis"))
+    words = "geometric centroid of the rays in the image, relative to rest"
+    yield stored("centroid_mm", "mm", words, (*_OVER, "axis"))
+    yield stored("spot_rms", "um", "rms distance of the rays' image points from their centroid", _OVER)
+    yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", _OVER)
+    words = "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)"
+    yield stored("rayleigh", "1", words, _OVER[1:])
+    words = (
+        "share of instants with an rms over the rays, piston and tilt removed, of at most lambda/14 "
+        "(Störkle 2018, Eq. 3.55)"
+    )
+    yield stored("marechal", "1", words, _OVER[1:])
+    yield stored("vignetted", "1", "largest number of rays at an instant that openings stop", _OVER[1:])
+    yield stored("lost", "1", "largest number of rays at an instant that do not arrive", _OVER[1:])
+    if study.imaging is not None:
+        yield from _image_measures(study)
+        yield from camera_measures(study.imaging.resolution, study.detector, ("field",))
+    if study.reduction is not None:
+        for name, (unit, words) in ERRORS.items():
+            dims = _OVER[1:] if name != "model_error_image" else ("field",)
+            if name != "model_error_image" or study.imaging is not None:
+                said = f"difference to the same draw with full models: {words}"
+                yield stored(name, unit or "mm", said, dims)
+
+
+def _image_measures(study: SystemStudy) -> Iterator[Measure]:
+    words = (
+        "mean of every instant's image at its line of sight, in all wavelengths; 1 = peak of the perfect one"
+    )
+    yield stored("exposure", "1", words, ("field", "y", "x"))
+    words = "largest irradiance of the exposure; 1 = peak of the perfect image"
+    yield stored("peak", "1", words, ("field",))
+    for share in (50, 80):
+        words = f"radius of {share} % encircled energy of the exposure; inf beyond the frame"
+        yield stored(f"ee{share}", "lambda/D", words, ("field",))
+    if study.imaging is not None and study.imaging.focus_um:
+        words = "exposure in planes behind the image; 1 = peak of the perfect image"
+        yield stored("exposure_focus", "1", words, ("field", "focus", "y", "x"))
+    if study.object is not None:
+        words = "exposed image of " + lit_object_words(study.object)
+        yield stored("object_image", "1", words, ("field", "y", "x"))
+
+
+def axes(bench: SystemBench) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
+    system, study = bench.system, bench.study
+    names = [field_name(system, field) for field in range(len(system.fields))]
+    found = {
+        "time": Axis(max(population.instants for population in study.disturbance)),
+        "field": Axis(names, "field point"),
+        "wavelength": Axis(np.round(system.wavelengths * NM_PER_MM, 9), "wavelength", "nm"),  # as written
+        "noll": Axis(np.arange(1, study.wavefront.zernike_terms + 1), "Noll index"),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+    }
+    if bench.imager is not None:
+        section = bench.imager.section
+        found |= frame_axes(section.pixels, section.sampling)
+        if section.focus_um:
+            found["focus"] = Axis(np.array(section.focus_um), "distance behind the image", "um")
+        found |= camera_axes(bench.imager.camera)
+    return found
+
+
+def fixed(bench: SystemBench, over_annulus: Mapping[str, str]) -> dict[str, Fixed]:
+    """Return field points and the wavefronts and images at rest."""
+    system = bench.system
+    far = bool(np.isinf(system.object_distance))
+    points = np.rad2deg(system.fields) if far else system.fields
+    unit = {"units": "deg" if far else "mm"}
+    found: dict[str, Fixed] = {
+        "field_x": (("field",), points[:, 0], {**unit, "long_name": "field point along x"}),
+        "field_y": (("field",), points[:, 1], {**unit, "long_name": "field point along y"}),
+    }
+    rest = [
+        wavefront_numbers(prepared, still, still, bench.study.wavefront.basis)
+        for row, stills in zip(bench.prepared, bench.static, strict=True)
+        for prepared, still in zip(row, stills, strict=True)
+    ]
+    for name, units, long_name, *more in (
+        ("zernike", "nm", "Zernike coefficients at rest", "noll"),
+        ("wfe_rms", "nm", "wavefront error rms at rest, j >= 4"),
+        ("spot_rms", "um", "rms spot radius at rest"),
+        ("strehl", "1", "Strehl ratio at rest"),
+        ("vignetted", "1", "rays that openings stop at rest"),
+    ):
+        values = shaped(bench, [one[name] for one in rest])
+        attrs = {"units": units, "long_name": long_name, **(over_annulus if more else {})}
+        found[f"{name}_static"] = (
+            ("field", "wavelength", *more),
+            values[0] if values.ndim > 2 else values,
+            attrs,
+        )
+    return found | _images_at_rest(bench)
+
+
+def _images_at_rest(bench: SystemBench) -> dict[str, Fixed]:
+    if bench.imager is None:
+        return {}
+    images = [expose(bench.imager, field, row) for field, row in enumerate(bench.static)]
+    engine = bench.imager.imagers[0][0].engine
+    words = {"units": "1", "long_name": "image at rest; 1 = peak of the perfect one", "engine": engine.name}
+    scale = {"units": "mm", "long_name": "lambda/D in the image: primary wavelength over twice the aperture"}
+    found: dict[str, Fixed] = {
+        "exposure_static": (("field", "y", "x"), np.stack([one["exposure"] for one in images]), words),
+        "resolution_mm": ((), np.array(bench.imager.resolution_mm), scale),
+    }
+    if bench.imager.section.focus_um:
+        found["focus_static"] = (
+            ("field", "focus", "y", "x"),
+            np.stack([one["exposure_focus"] for one in images]),
+            {"units": "1", "long_name": "image at rest in planes behind the image"},
+        )
+    if bench.study.object is not None:
+        words = {"units": "1", "long_name": "image at rest of " + lit_object_words(bench.study.object)}
+        found["object_static"] = (
+            ("field", "y", "x"),
+            np.stack([one["object_image"] for one in images]),
+            words,
+        )
+    return found
