@@ -7,12 +7,15 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from random import Random
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from mutations import damaged
 from readers import READERS
 
+from wavequake.errors import UserError
 from wavequake.optics.shapes.shape import zemax_types
 from wavequake.optics.zemax.codev_tilts import TILTS
 from wavequake.optics.zemax.gradients import GRADIENTS
@@ -47,6 +50,16 @@ def test_lenses_that_are_damaged_have_all_that_a_surface_may_have():
     types = (*zemax_types(), *GRADIENTS, *PHASES, *MAX_TERMS, "EVENASPH", "GRID_SAG", "COORDBRK")
     assert {*types, *OF_SURFACES, *OPENINGS, "SCBD"} - words("zmx") == set()
     assert set(TILTS) - {word.strip(";") for word in words("seq")} == set()
+
+
+@pytest.mark.parametrize(("number", "said"), [(1540, "has 594 surfaces; at most 126"), (1784, "no stop of")])
+def test_sequences_that_2000_damages_found(tmp_path, number, said):
+    random = Random(f"seq {number}")
+    reader = READERS["seq"]
+    file = tmp_path / "damaged.seq"
+    file.write_bytes(damaged(random.choice([make() for make in reader.valid]), random))
+    with pytest.raises(UserError, match=said):
+        reader.read(file)
 
 
 @pytest.mark.parametrize(

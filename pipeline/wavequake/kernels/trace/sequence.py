@@ -238,7 +238,8 @@ def check_sequence(sequence: Sequence, rays: Rays, moving: Moving) -> None:
     Raises
     ------
     UserError
-        If a surface has coefficients that are not finite, or an index that is not positive.
+        If there are more than 126 surfaces, one has coefficients that are not finite, or an index that is
+        not positive.
     ValueError
         If shapes do not fit together.
     """
@@ -246,7 +247,7 @@ def check_sequence(sequence: Sequence, rays: Rays, moving: Moving) -> None:
     if not elements:
         raise ValueError("the sequence has no elements; the last one is the image plane")
     if len(elements) > 126:
-        raise ValueError(f"the sequence has {len(elements)} elements; at most 126 can be traced")
+        raise UserError(f"The system has {len(elements)} surfaces; at most 126 can be traced.")
     _require("rays.path", rays.path, (rays.path.size,))
     _require("rays.position", rays.position, (3, rays.path.size))
     _require("rays.direction", rays.direction, (3, rays.path.size))

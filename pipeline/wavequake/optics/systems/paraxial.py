@@ -244,7 +244,11 @@ def _scale(
                 f"the entrance pupil of {name} lies at infinity and has no diameter; specify the pupil by "
                 "its numerical aperture or by the radius of the stop"
             )
-        return float(abs(pupil.value / 2.0 * to_stop[0, 0] / at_stop))
+        with np.errstate(over="ignore"):
+            radius = float(abs(pupil.value / 2.0 * to_stop[0, 0] / at_stop))
+        if not isfinite(radius):
+            raise UserError(f"the entrance pupil of {name} is seen as no stop of finite size")
+        return radius
     if pupil.kind == "f_number":
         afocal = not (isfinite(focal) or isfinite(system.object_distance))
         if at_image[1] == 0.0 or afocal:
