@@ -15,7 +15,7 @@ from wavequake.control.sampled.channel import (
     second_order,
 )
 from wavequake.control.sampled.filters import integrator
-from wavequake.control.sampled.readings import means
+from wavequake.control.sampled.readings import BLOCK, means
 from wavequake.control.sampled.regulator import shared_filter
 from wavequake.control.sampled.run import Actuator, Loop, run, schedule
 
@@ -67,6 +67,16 @@ def test_an_accelerometer_shows_the_second_derivative_of_what_is_slow():
     mean = (np.cos(w * (ends - T - late)) - np.cos(w * (ends - late))) / (w * T)
     np.testing.assert_allclose(found, -(w**2) * mean[100:], rtol=0, atol=2e-3 * w**2)
     assert acceleration(400.0, 0.7).static_gain == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("hertz", [30.0, 60.0, 120.0])
+def test_frames_that_begin_an_ulp_before_the_last_one_ended_read_what_they_should(hertz):
+    """Also where blocks of frames meet: what stands still is read as it is."""
+    ends = np.arange(1, 1000) / hertz
+    begins = ends - 1 / hertz
+    assert (begins[BLOCK::BLOCK] < ends[BLOCK - 1 : -1 : BLOCK]).any()
+    found = means(np.array([0.0, ends[-1]]), np.ones((2, 1)), begins, ends, first_order(7.0))
+    np.testing.assert_allclose(found, 1.0, rtol=0, atol=1e-9)
 
 
 def test_a_fast_sensor_reads_plain_means():

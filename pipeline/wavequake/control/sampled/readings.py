@@ -119,5 +119,6 @@ def _followed(time: Array, seen: Array, begins: Array, ends: Array, sensor: Dyna
             state = steps[key] @ state
             whole[now + 1 - start] = state[n + 2]
         now = last
-        passed = whole[closes[mine] - start] - whole[opens[mine] - start]
+        # A span may begin an ulp before the last one ended, which the block before holds.
+        passed = whole[closes[mine] - start] - whole[np.maximum(opens[mine] - start, 0)]
         yield np.asarray(passed / (ends[mine] - begins[mine])[:, None])
