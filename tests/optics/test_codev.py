@@ -132,6 +132,8 @@ def test_glasses_may_leave_out_hyphens_and_maker():
         ("GO", "ZOO 2\nZOO GLA S1 'NBK7' 'NSF6'", "the zoom position changes GLA"),
         ("GO", "ZOO 2\nZOO THI S9 1 2", "there is no surface 9"),
         ("GO", "ZOO 2\nZOO YAN 1 2", "nothing does not say which it is; F1"),
+        ("GO", "ZOO 2\nZOO YAN F0 1 2", "F0 does not say which it is; F1"),
+        ("GO", "ZOO 2\nZOO STO S1 S2", "the zoom position changes STO"),
         ("REF 2", "REF 2\nPUI 0.135", r"line 8 \(PUI\): the apodization of the pupil"),
         ("NBK7_SCHOTT", "UNOBTAINIUM_SCHOTT", r"line 14 \(GLAS\): surface 1: There is no glass"),
         ("WL 656.3 587.6 &\n   486.1\n", "", "no wavelength"),
@@ -328,8 +330,9 @@ def test_zoom_positions_of_four_mirrors_have_the_focal_lengths_they_were_designe
     assert abs(found.defocus) < 1e-4
     assert np.rad2deg(system.fields[0, 1]) == pytest.approx(field)
     assert ("The file has 2 configurations; this is number 1" in system.note) == (position is None)
-    with pytest.raises(UserError, match="has 2 zoom positions; there is no number 3"):
-        read_seq(path, None, 3)
+    for none in (3, 0, -1):
+        with pytest.raises(UserError, match=f"has 2 zoom positions; there is no number {none}"):
+            read_seq(path, None, none)
 
 
 def test_a_zoom_position_is_the_lens_with_its_numbers_in_place(tmp_path):
@@ -361,3 +364,14 @@ def test_a_zoom_position_is_the_lens_with_its_numbers_in_place(tmp_path):
     np.testing.assert_array_equal(ours.fields, theirs.fields)
     np.testing.assert_array_equal(ours.vignetting, theirs.vignetting)
     assert ours.pupil == theirs.pupil
+
+
+@pytest.mark.parametrize(("mode", "line"), [("RDM", 50.0), ("RDM N", 0.02)])
+@pytest.mark.parametrize("zoom", ["RDY S1 50 80", "CUY S1 0.02 0.0125"])
+def test_a_zoom_position_gives_radii_and_curvatures_whichever_lines_of_surfaces_give(
+    tmp_path, mode, line, zoom
+):
+    lens = f"DIM M; EPD 5; WL 550; YAN 0; SO 0 1e13; S1 {line} 5 NBK7_SCHOTT; STO; S 0 90; SI 0 0"
+    (tmp_path / "zoom.seq").write_text(f"{mode}; LEN; {lens}; ZOO 2; ZOO {zoom}; GO\n")
+    radii = [read_seq(tmp_path / "zoom.seq", None, one).surfaces[0].shape.radius for one in (1, 2)]
+    assert radii == pytest.approx([50.0, 80.0])

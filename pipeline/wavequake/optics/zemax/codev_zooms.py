@@ -39,8 +39,8 @@ def at_position(commands: Sequence[Line], position: int | None) -> Zoomed:
     zooms = [line for line in commands if line.keyword in ("ZOO", "ZOOM")]
     plain = [line for line in commands if line.keyword not in ("ZOO", "ZOOM")]
     count = next((int(line.words[0]) for line in zooms if line.words and line.words[0].isdigit()), 1)
-    chosen = position or 1
-    if chosen > count:
+    chosen = 1 if position is None else position
+    if not 1 <= chosen <= count:
         where = commands[0].where if commands else "the file"
         raise UserError(f"{where} has {count} zoom positions; there is no number {chosen}.")
     for line in zooms:
@@ -62,7 +62,7 @@ def _changed(commands: list[Line], line: Line, count: int, position: int) -> lis
     if len(values) != count:
         fail(line, f"{what} has {len(values)} values for {count} zoom positions")
     if what not in READ:
-        if len(set(values)) == 1:
+        if len(set(values)) == 1 and what != "STO":  # STO S1 S2 names surfaces alone
             return commands
         fail(line, f"the zoom position changes {what}, which is not supported; {', '.join(READ)} are")
     place_of = Line(line.where, line.number, what, values[position - 1])
@@ -71,9 +71,18 @@ def _changed(commands: list[Line], line: Line, count: int, position: int) -> lis
     if what in (*_OF_FIELDS, *_VIGNETTING):
         return _with_rest(commands, what, _numbered(line, place, "F") - 1, place_of, range(len(commands)))
     first, last = _section(commands, line, place)
+    if what in ("RDY", "CUY") and (what == "RDY") != _gives_radii(commands):
+        value = as_number(place_of, 0)
+        place_of = Line(line.where, line.number, what, repr(1.0 / value if value else 0.0))
     if what in _OF_THE_SURFACE_LINE:
         return _replaced(commands, first, _OF_THE_SURFACE_LINE[what], place_of)
     return _with_rest(commands, what, -1 if what == "CIR" else 0, place_of, range(first + 1, last))
+
+
+def _gives_radii(commands: Sequence[Line]) -> bool:
+    """Return whether lines of surfaces begin with radii, not curvatures."""
+    said = [line for line in commands if line.keyword == "RDM"]
+    return bool(said) and not said[-1].rest.upper().startswith("N")
 
 
 def _is_number(word: str) -> bool:
@@ -85,7 +94,7 @@ def _is_number(word: str) -> bool:
 
 
 def _numbered(line: Line, place: str, letter: str) -> int:
-    if not (place.startswith(letter) and place[1:].isdigit()):
+    if not (place.startswith(letter) and place[1:].isdigit() and (letter == "S" or int(place[1:]))):
         fail(line, f"{place or 'nothing'} does not say which it is; {letter}1, {letter}2, ... do")
     return int(place[1:])
 
