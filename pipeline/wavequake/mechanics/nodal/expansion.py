@@ -159,14 +159,16 @@ def solid_of(source: str, labels: Integers, points: Array, cells: Mapping[str, I
     Raises
     ------
     UserError
-        If it has none.
+        If it has none, or an element names a node that it has not.
     """
     order = np.argsort(labels)
-    found = {
-        kind: order[np.searchsorted(labels, elements, sorter=order)]
-        for kind, elements in cells.items()
-        if kind in KINDS
-    }
+    found = {}
+    for kind, elements in cells.items():
+        if kind in KINDS:
+            place = np.minimum(np.searchsorted(labels, elements, sorter=order), len(labels) - 1)
+            found[kind] = order[place]
+            if len(missing := elements[labels[found[kind]] != elements]):
+                raise UserError(f"{source}: elements name the node {missing[0]}, which it does not have")
     if not found:
         held = ", ".join(cells) or "none"
         raise UserError(

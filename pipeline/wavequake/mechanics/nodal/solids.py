@@ -2,7 +2,7 @@
 
 The shape functions of a kind span its monomials and are 1 at one node each, so that they follow from the
 natural coordinates of its nodes (Zienkiewicz and Taylor, The Finite Element Method, chapter 8). The order of
-nodes is that of VTK and meshio, which Abaqus, CalculiX and Nastran share.
+nodes is that of VTK and meshio, which Abaqus and CalculiX share; Nastran's is put into it as decks are read.
 """
 
 from dataclasses import dataclass

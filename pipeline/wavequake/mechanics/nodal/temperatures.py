@@ -103,6 +103,9 @@ def _temperatures(
     steps = [step for step in steps if step.kind == kind]
     temperatures = np.full((len(steps), len(grid.labels)), np.nan)
     for row, step in enumerate(steps):
+        numbers, counts = np.unique(step.labels, return_counts=True)
+        if (counts > 1).any():
+            raise UserError(f"{written.source} gives node {numbers[np.argmax(counts > 1)]} twice at one step")
         where, there = _places(written, step.labels, grid, points, length)
         temperatures[row, where[there]] = step.values[there, 0]
     bare = np.argwhere(~np.isfinite(temperatures[:, nodes]))
@@ -123,12 +126,16 @@ def _places(
 ) -> tuple[Integers, Array]:
     """Return which node of the mesh each of a step is, by place where it is known, and whether it is one."""
     if written.points is None or written.labels is None:
-        order = np.argsort(grid.labels)
-        found = order[np.minimum(np.searchsorted(grid.labels, labels, sorter=order), len(order) - 1)]
-        return found, grid.labels[found] == labels
-    order = np.argsort(written.labels)
-    own = written.points[order[np.searchsorted(written.labels, labels, sorter=order)]]
+        return _among(grid.labels, labels)
+    place, known = _among(written.labels, labels)
     away, found = scipy.spatial.cKDTree(points).query(
-        own * (length if written.length is None else written.length)
+        written.points[place] * (length if written.length is None else written.length)
     )
-    return found, away <= _TOGETHER * np.ptp(points, axis=0).max()
+    return found, known & (away <= _TOGETHER * np.ptp(points, axis=0).max())
+
+
+def _among(labels: Integers, wanted: Integers) -> tuple[Integers, Array]:
+    """Return at which places wanted node numbers stand among others, and whether they do."""
+    order = np.argsort(labels)
+    found = order[np.minimum(np.searchsorted(labels, wanted, sorter=order), len(order) - 1)]
+    return found, labels[found] == wanted
