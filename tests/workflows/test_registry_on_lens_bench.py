@@ -347,6 +347,14 @@ def test_a_settled_modal_regulator_leaves_what_holding_its_commands_does(tmp_pat
     assert left[settled].std() < ripple
 
 
+def test_a_modal_regulator_that_could_hold_nothing_still_is_refused(tmp_path):
+    text = FORWARD.format(rate=500.0, late=1, lens=4, also="chain").replace(
+        'model = "line-of-sight"', 'model = "displacement"\nnodes = ["lens-3"]'
+    )
+    with pytest.raises(UserError, match="forward: 'image' does not see the actuator 'stage'"):
+        KIND.check(study_of(tmp_path, text).identity_text())
+
+
 @pytest.mark.parametrize(
     ("lens", "also", "words"),
     [

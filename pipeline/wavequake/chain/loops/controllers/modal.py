@@ -36,7 +36,8 @@ class Modal(Controller):
         Raises
         ------
         UserError
-            If there are no modes or no further sensor, or one sees the actuator, or none sees a mode.
+            If there are no modes or no further sensor, or one sees the actuator, or none sees a mode; or the
+            first one does not see the actuator.
         """
         where = f"controller.{self.name}"
         target, *observers = asked.watched
@@ -45,6 +46,11 @@ class Modal(Controller):
         if not observers:
             raise UserError(
                 f"{where}: also_reads must name what tells of the modes; {target.sensor!r} is to stand still."
+            )
+        if not target.sees.any():
+            raise UserError(
+                f"{where}: {target.sensor!r} does not see the actuator {asked.actuator!r}, which cannot hold "
+                "it still; name by sensor one that does."
             )
         for one in observers:
             if one.sees.any() or (one.answers @ asked.drives).any():
