@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis, Tick, XAxis, YAxis
+from matplotlib.axis import Axis
 from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -46,9 +46,7 @@ def in_inches(
     Their ticks are drawn at once.
     """
     across, up = figure.get_size_inches()
-    axes = _QuickAxes(figure, (left / across, bottom / up, width / across, height / up))
-    figure.add_axes(axes)
-    axes.spines[:].set_position(("outward", 0.0))  # else ticks put them there when they are made
+    axes = figure.add_axes((left / across, bottom / up, width / across, height / up))
     axes.yaxis.set_label_coords(-label / width, 0.5)
     draw_ticks_at_once(axes)
     return axes
@@ -77,40 +75,6 @@ def _power(value: float, place: int | None = None) -> str:
     if abs(times - 1.0) < 1e-6:
         return power_of_ten(value)
     return f"{value:.4g}" if -4 < exponent < 4 else f"{times:.4g}·{power_of_ten(10.0**exponent)}"
-
-
-class _WithoutTicks:
-    """An axis that makes no ticks: others make some of each before anybody has seen it."""
-
-    majorTicks = minorTicks = property(lambda self: [], lambda self, ticks: None, lambda self: None)  # noqa: N815
-
-    def get_major_ticks(self, numticks: int | None = None) -> list[Tick]:
-        """Return no ticks."""
-        return []
-
-    get_minor_ticks = get_major_ticks
-
-    def get_ticks_position(self) -> str:
-        """Return where titles suppose ticks: not at the top."""
-        return "default"
-
-
-class _QuickXAxis(_WithoutTicks, XAxis):  # type: ignore[misc]
-    pass
-
-
-class _QuickYAxis(_WithoutTicks, YAxis):  # type: ignore[misc]
-    pass
-
-
-class _QuickAxes(Axes):
-    """Axes whose ticks `draw_ticks_at_once` draws."""
-
-    def _init_axis(self) -> None:
-        self.xaxis, self.yaxis = _QuickXAxis(self, clear=False), _QuickYAxis(self, clear=False)
-        for axis, sides in ((self.xaxis, ("bottom", "top")), (self.yaxis, ("left", "right"))):
-            for side in sides:
-                self.spines[side].register_axis(axis)
 
 
 class Ticks(Artist):
