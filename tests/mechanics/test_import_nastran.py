@@ -143,9 +143,20 @@ def test_a_superelement_brings_its_rows_points_and_modes(tmp_path):
         ({"grids": (3, 8, 21)}, "no GRID card of point 40"),
         ({"axes": AXES.replace("0 0.1", "7 0.1", 1)}, "the axes 10 stand in other axes"),
         ({"axes": AXES.replace("0.100000000E+01", "0.1000x0000E+01")}, "is not a number"),
+        ({"axes": AXES.partition("\n")[0]}, "the axes 10 lack a point"),
+        ({"axes": AXES + "EXTRN          3"}, "point 3 has no components"),
+        ({"axes": AXES + "GRID           x       0"}, "'X' is not the number of a point"),
     ],
 )
 def test_superelements_that_cannot_be_read(change, match, tmp_path):
     write_superelement(tmp_path, **change)
     with pytest.raises(UserError, match=match):
+        import_model(tmp_path / "truss.op4", **CHOICE)
+
+
+def test_a_punch_file_that_ends_within_a_number_is_cut_off(tmp_path):
+    write_superelement(tmp_path)
+    text = (tmp_path / "truss.pch").read_text()
+    (tmp_path / "truss.pch").write_text(text[: text.rindex("E+")])  # of a coordinate, which is a number still
+    with pytest.raises(UserError, match=r"truss\.pch, line .* has no end: the file is cut off"):
         import_model(tmp_path / "truss.op4", **CHOICE)

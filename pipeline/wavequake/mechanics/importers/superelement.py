@@ -13,7 +13,7 @@ import numpy as np
 from wavequake.errors import UserError
 from wavequake.mechanics.importers import bulk
 from wavequake.mechanics.importers.bulk import real, unit_vectors
-from wavequake.mechanics.importers.entries import Array, Contents, Entries, Integers
+from wavequake.mechanics.importers.entries import Array, Contents, Entries, Integers, whole_lines
 
 
 def with_rows(contents: Contents, path: Path) -> Contents:
@@ -29,12 +29,15 @@ def with_rows(contents: Contents, path: Path) -> Contents:
     punch = path.with_suffix(".pch")
     if not punch.is_file():
         return contents
+    whole_lines(punch)
     cards = [[card.name, *card.fields] for card in bulk.cards(punch)]
     table = _rows([card for card in cards if card[0] == "EXTRN"], punch.name)
     if not len(table):
         return contents
     axes = {card[1]: _axes(card, punch.name) for card in cards if card[0] == "CORD2R"}
     grids = [card for card in cards if card[0] == "GRID"]
+    if bad := [card[1] for card in grids if not card[1].isdecimal()]:
+        raise UserError(f"{punch.name}: {bad[0]!r} is not the number of a point (card GRID)")
     numbers = np.array([int(card[1]) for card in grids], dtype=np.int64)
     if any(card[2] not in ("", "0") for card in grids):
         raise UserError(f"{punch.name}: points in axes of their own (GRID, field CP) are not read")
@@ -84,6 +87,10 @@ def _rows(cards: list[list[str]], source: str) -> Integers:
     rows = []
     for card in cards:
         words = [word for word in card[1:] if word]
+        if len(words) % 2:
+            raise UserError(
+                f"{source}: point {words[-1]} has no components (card EXTRN); is the file cut off?"
+            )
         for node, components in zip(words[::2], words[1::2], strict=True):
             if not (node.isdigit() and components.isdigit()):
                 raise UserError(f"{source}: {node!r} with {components!r} is no row (card EXTRN)")
@@ -95,5 +102,7 @@ def _axes(card: list[str], source: str) -> Array:
     """Return the unit vectors of a CORD2R card as columns."""
     if card[2] not in ("", "0"):
         raise UserError(f"{source}: the axes {card[1]} stand in other axes (CORD2R, field RID): not read")
+    if len(card) < 12:
+        raise UserError(f"{source}: the axes {card[1]} lack a point (CORD2R); the file may be cut off")
     origin, above, beside = np.array([real(word, source) for word in card[3:12]]).reshape(3, 3)
     return unit_vectors(origin, above, beside)
