@@ -24,3 +24,18 @@ def test_what_is_left_below_the_error_of_linear_light_is_nothing():
     assert perfect.los == 0.0
     unknown = results(cases.assign(light_error_los=np.nan * cases.light_error_los))[1]
     assert unknown.los == pytest.approx(2e-8)
+
+
+def test_what_is_off_by_much_is_not_the_best():
+    """3 nm that are off by 3.2 are not nothing: another controller leaves 2."""
+    cases = xr.Dataset(
+        {
+            "wfe_rms": (("case", "controller", "time"), [[[9.0], [3.0], [2.0]]]),
+            "los": (("case", "controller", "time"), [[[9.0], [3.0], [2.0]]]),
+            "light_error_wfe_rms": (("case", "controller"), [[0.1, 3.2, 1.0]]),
+            "light_error_los": (("case", "controller"), [[0.1, 3.2, 1.0]]),
+        },
+        {"controller": ["off", "a", "b"]},
+    )
+    assert [one.wfe for one in results(cases)] == [9.0, 3.0, 2.0]
+    assert [one.los for one in results(cases)] == [9.0, 3.0, 2.0]

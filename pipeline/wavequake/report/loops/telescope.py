@@ -30,6 +30,8 @@ _FIGURES = ("m2-figure", "m2-influence", "m2-body")
 _IDEAL = ("off", "perfect")
 # A wavefront that falls by less is not what the controller is for.
 _HELPS = 0.99
+# Of the largest in a table, what is written as none if it is below its error.
+_NOTHING = 1e-3
 _GREYS = {"off": "#999999", "perfect": "#444444"}
 _MEDIANS = (
     "Medians over cases of each case's rms over time. WFE: of the fitted Zernike terms j ≥ 4. LOS: distance "
@@ -61,7 +63,8 @@ _DEFINITIONS = (
     (
         "light error",
         "Largest difference of the loop's linear light from rays that are traced in full, at the traced "
-        "instants: of the WFE, and in small print of the LOS. What is left and smaller is written as 0.",
+        "instants: of the WFE, and in small print of the LOS. Where it is below a thousandth of the largest "
+        "in the table, what is left and smaller than it is written as 0.",
     ),
 )
 
@@ -99,14 +102,20 @@ def results(cases: xr.Dataset) -> list[Result]:
             values = values[~np.isnan(values)]  # of a share of cases, where not all are traced
             whole = np.max if key.startswith("light") else np.median
             middle.append(float(whole(values)) if len(values) else np.nan)
-        one = Result(name, *middle)
-        found.append(replace(one, wfe=_known(one.wfe, one.wfe_error), los=_known(one.los, one.los_error)))
-    return found
+        found.append(Result(name, *middle))
+    most = [max(getattr(one, key) for one in found) for key in ("wfe", "los")] if found else []
+    return [
+        replace(one, wfe=_known(one.wfe, one.wfe_error, most[0]), los=_known(one.los, one.los_error, most[1]))
+        for one in found
+    ]
 
 
-def _known(value: float, error: float) -> float:
-    """Return a value, 0 where the linear light that it comes from is off by more."""
-    return 0.0 if value < error else value
+def _known(value: float, error: float, most: float) -> float:
+    """Return a value, 0 where the linear light that it comes from is off by more, and by nothing of the most.
+
+    What is off by much is no reason to call a controller the best.
+    """
+    return 0.0 if value < error < _NOTHING * most else value
 
 
 def _case_rms(values: xr.DataArray) -> xr.DataArray:
