@@ -10,6 +10,7 @@ from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.workflows.loops.loop_margins import loops_of
 from wavequake.workflows.loops.system_light import optics_of
+from wavequake.workflows.sensitivity import stored_sensitivity
 from wavequake.workflows.study import load_study
 
 
@@ -127,3 +128,13 @@ def test_what_loops_of_a_system_cannot_do_is_a_sentence(tmp_path, old, new, said
     assert old in text
     with pytest.raises(UserError, match=said):
         wq.run(written(tmp_path, text.replace(old, new, 1)), store=tmp_path / "s", on="serial")
+
+
+def test_the_store_of_a_run_keeps_the_sensitivities_of_its_system(tmp_path):
+    stored(tmp_path, SYSTEM, SHAKEN, LOOP, PERFECT)
+    study, store = load_study(tmp_path / "system-loop.toml"), tmp_path / "system-loop.store"
+    made, was_there = stored_sensitivity(study, store, mirror_terms=0)
+    again, kept = stored_sensitivity(study, store, mirror_terms=0)
+    assert (was_there, kept) == (False, True)
+    assert made.surface.size >= 3
+    assert again.attrs["study"] == study.identity_text()

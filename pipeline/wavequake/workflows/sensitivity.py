@@ -93,7 +93,6 @@ def stored_sensitivity(
         from wavequake.workflows.systems.study import SystemStudy
 
         assert isinstance(study, SystemStudy)
-        study = study.disturbed
         return stored_system_sensitivity(study, path, figure_terms, mirror_terms)
     text = _telescope_text(study)
     require_own_store(study, path)

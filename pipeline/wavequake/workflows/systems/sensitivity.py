@@ -53,7 +53,9 @@ def stored_system_sensitivity(
     require_terms(terms)
     require_own_store(study, path)
     device = choose_device(study.campaign.device)
-    return kept_or_made(study, path, {"mirror_terms": terms}, lambda: system_dataset(study, device, terms))
+    return kept_or_made(
+        study, path, {"mirror_terms": terms}, lambda: system_dataset(study.disturbed, device, terms)
+    )
 
 
 def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Dataset":
