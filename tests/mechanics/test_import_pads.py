@@ -264,3 +264,9 @@ def test_models_on_pads_are_free_and_reduced_as_any(pads, files):
 def test_impossible_pads(choice, match, files):
     with pytest.raises(UserError, match=match):
         load(files, **choice)
+
+
+def test_pads_on_a_line_are_counted_once(files):
+    model = load(files, TURNING[:2], pads="rigid", pad_dofs=6).model
+    with pytest.raises(UserError, match="the 2 interface nodes of the model block lie on a line"):
+        check_model(model)

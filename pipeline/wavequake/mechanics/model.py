@@ -224,7 +224,7 @@ def check_model(model: FiniteElementModel) -> None:
             f"the optical surface of the model {model.name} needs one positive weight for each of its "
             f"{len(model.surface_nodes)} nodes"
         )
-    points = model.nodes[model.interfaces]
+    points = model.nodes[model.interfaces[shifts(model)]]
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 2 else np.zeros(2)
     if spread[1] <= 1e-6 * spread[0]:
         raise UserError(

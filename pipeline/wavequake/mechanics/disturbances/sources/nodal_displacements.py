@@ -46,7 +46,8 @@ class NodalDisplacements(Source):
         default=None,
         exclude=True,
         description=f"required: {FORMATS}; columns of a CSV are {COLUMNS}; an .npz holds nodes_mm (p, 3), "
-        "displacements_um (n, p, 3) and perhaps time_s (n,) (read when the study is loaded)",
+        "displacements_um (n, p, 3) or temperatures_c (n, p), and perhaps time_s (n,) (read when the study "
+        "is loaded)",
     )
     unit: str | None = Field(
         default=None, exclude=True, description="of length, where the file does not say it: mm, m, in, ..."
