@@ -10,7 +10,7 @@ import pytest
 
 import wavequake.workflows.run as campaign
 from wavequake.campaign.store.journal import read_journal
-from wavequake.campaign.store.store import JOURNAL
+from wavequake.campaign.store.store import JOURNAL, MANIFEST
 from wavequake.files import folder
 from wavequake.words import lasting
 from wavequake.workflows.known_times import FILE
@@ -74,6 +74,13 @@ def test_a_plan_that_is_not_done_tells_what_the_study_took_before(monkeypatch, t
     bundled = plan("tmt18-history", seconds=0.5, cases=6000, store=tmp_path / "none")["estimate"]
     assert bundled.startswith(f"{lasting(6000 * each)} of one process after ")
     assert f"as measured on {measured['processor']}; what all cases share is prepared still " in bundled
+
+
+def test_a_plan_answers_beside_a_store_that_cannot_be_read(monkeypatch, tmp_path):
+    (tmp_path / MANIFEST).write_text('{"schema": 0}')
+    monkeypatch.setattr(campaign, "_planned", lambda study, device: dozing())
+    answer = plan("tmt18-history", seconds=0.5, store=tmp_path)
+    assert "of one process after " in answer["estimate"]
 
 
 def test_studies_whose_pilot_takes_long_were_measured():

@@ -7,6 +7,7 @@ from pathlib import Path
 from wavequake.campaign.schema import Study
 from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, read_manifest
+from wavequake.errors import StoreDamageError, UserError
 from wavequake.files import folder
 from wavequake.words import counted, lasting
 from wavequake.workflows.study import bundled_studies, load_study
@@ -52,8 +53,11 @@ def _is_bundled(study: Study, name: str) -> bool:
 def _of_store(study: Study, store: Path) -> Times | None:
     if not (store / MANIFEST).exists():
         return None
-    manifest = read_manifest(store)
-    records = done_records(manifest, read_journal(store / JOURNAL))
+    try:
+        manifest = read_manifest(store)
+        records = done_records(manifest, read_journal(store / JOURNAL))
+    except (UserError, StoreDamageError):  # a plan needs no store; what runs into it says what is wrong
+        return None
     done = sum(last - first for first, last in records)
     spent = sum(
         one.timings.get("compute_s", 0.0) + one.timings.get("write_s", 0.0) for one in records.values()
