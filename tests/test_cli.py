@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, sentences, and that repeating is safe."""
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -209,6 +210,14 @@ def test_output_that_is_closed_or_has_no_greek_does_no_harm(done):
     for command in (f"PYTHONIOENCODING=ascii {python} report {store}", f"{python} status {store} >&-"):
         done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(("columns", "width"), [("40", 40), ("0", 110), ("", 110)])
+def test_a_pipe_is_as_wide_as_columns_asks_for(columns, width):
+    command = [sys.executable, "-m", "wavequake", "studies"]
+    environment = {**os.environ, "COLUMNS": columns}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert 0.9 * width <= max(map(len, done.stdout.splitlines())) <= width
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])

@@ -99,6 +99,25 @@ def test_a_system_runs_to_its_report(wavequake, newton, tmp_path):
     assert rows[1]["vignetted_field1_wavelength1 (1)"] == "0.0"
 
 
+def test_a_perfect_wave_has_no_error_by_rounding(wavequake, newton, tmp_path):
+    """A parabola on its axis: the rest is 0 in plan and report, and stored as it rounds."""
+    plate = STUDY[STUDY.index('[[system.surface]]\nname = "window"') : STUDY.index("[[disturbance]]")]
+    image = '[[system.surface]]\nname = "image"\ndistance_mm = 1000.0\n'
+    parabola = STUDY.replace(plate, image).replace(', "plate"', "").replace('"plate"', '"mirror"')
+    newton.write_text(parabola)
+    code, out, err = wavequake("plan", newton)
+    assert code == 0, err
+    assert re.search(r"field \(0, 0\) deg +0 nm rms at rest", out), out
+    assert re.search(r"field \(0, 0\.1\) deg +[1-9][\d.]+ nm rms at rest", out), out
+    store = tmp_path / "store"
+    code, out, err = wavequake("run", newton, "campaign.cases=4", "--store", store, "--on", "serial")
+    assert code == 0, err
+    resting = out[out.index("at rest") :].splitlines()[1]
+    assert resting.split()[:5] == ["(0,", "0)", "deg", "0", "0"]
+    kept = wq.open_store(store)
+    assert 0.0 < float(kept["wfe_rms_static"][0, 0]) < 1e-5 < float(kept["wfe_rms_static"][1, 0])
+
+
 def test_the_report_says_what_is_vignetted_and_left_out(wavequake, newton, tmp_path):
     store = tmp_path / "store"
     words = ["disturbance.askew.rms.dx_um=30000", "campaign.cases=16", "--store", store, "--on", "serial"]

@@ -35,8 +35,10 @@ class _Console(Console):
         return super().render_str(printable(text), **options)
 
 
-# Where the output is no terminal (a log, a pipe), lines have room for the table.
-out = _Console(highlight=False, width=None if sys.stdout and sys.stdout.isatty() else 110)
+# Where the output is no terminal (a log, a pipe), lines have room for the table, or what COLUMNS asks for.
+_asked = os.environ.get("COLUMNS", "")
+_piped = int(_asked) if _asked.isdecimal() and int(_asked) else 110
+out = _Console(highlight=False, width=None if sys.stdout and sys.stdout.isatty() else _piped)
 err = _Console(stderr=True, highlight=False)
 
 

@@ -226,6 +226,10 @@ def test_tails_are_judged_per_controller(many, monkeypatch, wavequake):
     code, out, _ = wavequake("tail", "s", "--variable", "x[controller=FF+FI]", "--statistic", "max")
     assert code == 0
     assert "x[controller=FF+FI] (1)," in out
+    code, _, err = wavequake("tail", "s")
+    assert code == 2
+    assert "holds no wavefront error on the glass" in err
+    assert "name one of x, tilt, power (--variable NAME)." in err
     code, _, err = wavequake("tail", "s", "--variable", "x[controller=F]")
     assert (code, "there is no controller 'F'; use one of off, FF+FI." in err) == (2, True)
 

@@ -91,6 +91,7 @@ def test_a_tail_that_changes_its_kind_is_not_steady():
     [
         (np.arange(150.0), None, "150 cases are too few for a tail: take at least 200"),
         (np.empty(0), None, "0 cases are too few for a tail"),
+        (np.ones(1), None, "1 case is too few for a tail: take at least 200"),
         (np.arange(1000.0), 990.0, "Only 9 of 1000 cases exceed 990, and a tail needs at least 50"),
         (np.append(np.arange(1000.0), np.inf), None, "1 of 1001 values are not finite"),
         (np.append(np.arange(1000.0), np.nan), None, "1 of 1001 values are not finite"),

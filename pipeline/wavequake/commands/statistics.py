@@ -60,8 +60,9 @@ def budget(
 def tail(
     store: Annotated[Path, typer.Argument(help="Folder of the store.")],
     variable: Annotated[
-        str, typer.Option(help="What is judged: a variable, or as 'peak[controller=rigid]'.")
-    ] = "wfe_rms_raw",
+        str | None,
+        typer.Option(help="A variable, or as 'peak[controller=rigid]' (default: wfe_rms_raw where stored)."),
+    ] = None,
     limit: Annotated[float | None, typer.Option(help="How often is it exceeded? In the unit stored.")] = None,
     probability: Annotated[float, typer.Option(help="What is exceeded so rarely?")] = 1e-4,
     statistic: Annotated[

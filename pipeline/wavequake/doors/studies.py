@@ -103,7 +103,7 @@ def compare(first: str | Path, *others: str | Path) -> "pd.DataFrame":
 
 def tail(
     store: str | Path,
-    variable: str = "wfe_rms_raw",
+    variable: str | None = None,
     *,
     probability: float = 1e-4,
     limit: float | None = None,
@@ -116,8 +116,8 @@ def tail(
     Parameters
     ----------
     store : str or Path
-    variable : str
-        A variable of the store, or as ``"peak[controller=rigid]"``.
+    variable : str, optional
+        A variable of the store, or as ``"peak[controller=rigid]"``; by default ``wfe_rms_raw``.
     probability : float
         What is exceeded so rarely?
     limit : float, optional
@@ -137,7 +137,8 @@ def tail(
     Raises
     ------
     UserError
-        If there is no such variable, or no population has a tail, as of too few cases.
+        If there is no such variable, none is named and there is not the usual one, or no population has a
+        tail, as of too few cases.
 
     Examples
     --------

@@ -57,6 +57,15 @@ def judged_in(text: str, dataset: "xr.Dataset") -> Judged:
         If the text has another form, there is no such variable, dimension or label, or a dimension of numbers
         is not chosen from.
     """
+    return _judged(text, *_stored(dataset))
+
+
+def judgeable(dataset: "xr.Dataset") -> list[str]:
+    """Return the variables of a store that can be judged."""
+    return [*_valid(*_stored(dataset))]
+
+
+def _stored(dataset: "xr.Dataset") -> tuple[dict[str, Dims], Labels]:
     variables = {
         str(name): tuple(str(dim) for dim in one.dims if dim != "case")
         for name, one in dataset.data_vars.items()
@@ -65,21 +74,14 @@ def judged_in(text: str, dataset: "xr.Dataset") -> Judged:
     labels = {
         str(dim): dataset[dim].to_numpy() for dim in dataset.dims if dim in dataset.coords and dim != "case"
     }
-    return _judged(text, variables, labels)
+    return variables, labels
 
 
 def _judged(text: str, variables: Mapping[str, Dims], labels: Labels) -> Judged:
     match = _FORM.fullmatch(text)
     if not match:
         raise UserError(f"{text!r} names nothing to judge; write a variable, or variable[dimension=label].")
-    free = {"axis", *_OVER_TIME, *WORST_OF}
-    valid = {
-        name: dims
-        for name, dims in variables.items()
-        if not {*dims} >= _IMAGE and all(dim in free or dim in labels for dim in dims)
-    }
-    if not valid:
-        raise UserError("Nothing here is one number per case, instant or label, which could be judged.")
+    valid = _valid(variables, labels)
     if match[1] not in valid:
         raise UserError(f"There is no {match[1]!r} to judge; use one of {', '.join(valid)}.")
     dims = valid[match[1]]
@@ -93,6 +95,18 @@ def _judged(text: str, variables: Mapping[str, Dims], labels: Labels) -> Judged:
                 f"{match[1]}[{dim}={_written(values[0])}]."
             )
     return Judged(match[1], chosen, {dim: tuple(map(str, values)) for dim, values in left.items()})
+
+
+def _valid(variables: Mapping[str, Dims], labels: Labels) -> dict[str, Dims]:
+    free = {"axis", *_OVER_TIME, *WORST_OF}
+    valid = {
+        name: dims
+        for name, dims in variables.items()
+        if not {*dims} >= _IMAGE and all(dim in free or dim in labels for dim in dims)
+    }
+    if not valid:
+        raise UserError("Nothing here is one number per case, instant or label, which could be judged.")
+    return valid
 
 
 def _chosen(variable: str, text: str | None, among: Labels) -> dict[str, int]:

@@ -16,6 +16,7 @@ from scipy.special import betaincinv, boxcox
 
 from wavequake.campaign.statistics.quantiles import CONFIDENCE, Quantile, quantile
 from wavequake.errors import UserError
+from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
@@ -80,8 +81,8 @@ def fit_tail(values: Array, threshold: float | None = None) -> Tail:
         count = max(int(_SHARE * ordered.size), FEWEST)
         if count > _LARGEST_SHARE * ordered.size:
             raise UserError(
-                f"{ordered.size} cases are too few for a tail: take at least "
-                f"{int(np.ceil(FEWEST / _LARGEST_SHARE))}."
+                f"{counted(ordered.size, 'case')} {'is' if ordered.size == 1 else 'are'} too few for a tail: "
+                f"take at least {int(np.ceil(FEWEST / _LARGEST_SHARE))}."
             )
         threshold = float(ordered[-count - 1])
     excesses = ordered[ordered > threshold] - threshold

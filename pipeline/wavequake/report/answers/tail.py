@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.campaign.contract import DONE
-from wavequake.campaign.statistics.judged import Judged, judged_in, populations_of, selected, title
+from wavequake.campaign.statistics.judged import Judged, judgeable, judged_in, populations_of, selected, title
 from wavequake.campaign.statistics.quantiles import Quantile
 from wavequake.campaign.statistics.tail import Tail, exceedance, fit_tail, fits, rare_value, steadiness
 from wavequake.campaign.store.store import open_store
@@ -23,6 +23,7 @@ from wavequake.workflows.kinds import compared_labels
 
 Array = NDArray[np.float64]
 
+_USUAL = "wfe_rms_raw"  # judged where a store has it and nothing is named
 _OVER_TIME = {"mean": "mean", "rms": "rms", "min": "min", "max": "max", "last": "last"}
 
 
@@ -43,9 +44,12 @@ class RareEvents:
 
 @dataclass(frozen=True)
 class RareQuestion:
-    """What is asked of a store: of the upper tail, or of the lower one if `below`."""
+    """What is asked of a store: of the upper tail, or of the lower one if `below`.
 
-    variable: str
+    Without a `variable` it is the wavefront error on the glass.
+    """
+
+    variable: str | None
     statistic: str
     probability: float
     limit: float | None = None
@@ -55,8 +59,9 @@ class RareQuestion:
 
 @dataclass(frozen=True)
 class RareAnswer:
-    """The tails of populations, in sentences why others have none, and the unit of the values."""
+    """The variable judged, the tails of populations, in sentences why others have none, and the unit."""
 
+    variable: str
     found: tuple[RareEvents, ...]
     reasons: tuple[str, ...]
     unit: str
@@ -68,7 +73,8 @@ def rare_events(store: Path | str, question: RareQuestion) -> RareAnswer:
     Raises
     ------
     UserError
-        If there is no such variable, label or statistic, or no population has a tail, as of too few cases.
+        If there is no such variable, label or statistic, none is named and there is not the usual one, or no
+        population has a tail, as of too few cases.
     """
     if not 0.0 < question.probability < 0.5:
         raise UserError(
@@ -83,7 +89,13 @@ def rare_events(store: Path | str, question: RareQuestion) -> RareAnswer:
         raise UserError(
             f"The cases of {store} are drawn near a limit and have no tail of their own; take wavequake rare."
         )
-    judged = judged_in(question.variable, dataset)
+    variable = question.variable or _USUAL
+    if not question.variable and _USUAL not in dataset:
+        raise UserError(
+            f"{store} holds no wavefront error on the glass, which is judged where nothing is named; name "
+            f"one of {', '.join(judgeable(dataset))} (--variable NAME)."
+        )
+    judged = judged_in(variable, dataset)
     compared = compared_labels(dataset.attrs["study"]) if "study" in dataset.attrs else ()
     names = populations_of(dataset, compared)
     done = dataset["status"].to_numpy() == DONE
@@ -100,7 +112,8 @@ def rare_events(store: Path | str, question: RareQuestion) -> RareAnswer:
                 reasons.append(str(error))
     if not found:
         raise UserError(reasons[0])
-    return RareAnswer(tuple(found), tuple(reasons), str(dataset[judged.variable].attrs.get("units", "1")))
+    unit = str(dataset[judged.variable].attrs.get("units", "1"))
+    return RareAnswer(variable, tuple(found), tuple(reasons), unit)
 
 
 def _one(name: str, values: Array, question: RareQuestion, sign: float, stratified: bool) -> RareEvents:
@@ -165,7 +178,7 @@ def rare_table(answer: RareAnswer, question: RareQuestion) -> Table:
     table.add_column(f"threshold\n({unit})", justify="right")
     table.add_column(f"cases\n{side} it", justify="right")
     table.add_column("shape", justify="right")
-    wanted = Text(f"{question.variable} ({unit}),\n{side} it: {question.probability:g}")
+    wanted = Text(f"{answer.variable} ({unit}),\n{side} it: {question.probability:g}")
     table.add_column(wanted, justify="right", no_wrap=True)
     if question.limit is not None:
         table.add_column(f"share {side}\n{question.limit:g} {unit}", justify="right", no_wrap=True)

@@ -17,6 +17,7 @@ from wavequake.drawing.periodogram import has_spectrum
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import Combine, instants_of
 from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import wavelength_of
 from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report import uncertain
 from wavequake.report.answers import budget
@@ -41,8 +42,10 @@ from wavequake.report.table import interval, number, radius, share
 from wavequake.report.vibration import histories_and_spectra
 from wavequake.words import counted
 from wavequake.workflows.systems.bench import (
+    NM_PER_MM,
     SystemBench,
     at_instant,
+    beyond_rounding,
     field_name,
     system_bench,
     system_states,
@@ -210,7 +213,7 @@ def _row(
 def _at_rest(dataset: xr.Dataset, bench: SystemBench) -> Iterator[dict[str, tuple[str, str]]]:
     """Yield the rows of the design itself, field by field: what no disturbance adds."""
     light = dataset.isel(wavelength=bench.system.primary_wavelength)
-    peaks = peaks_at_rest(dataset)
+    peaks, wavelength = peaks_at_rest(dataset), wavelength_of(bench.system)
     for place, field in enumerate(map(str, dataset["field"].to_numpy())):
         wfe, spot, strehl = (
             float(light[f"{key}_static"][place]) for key in ("wfe_rms", "spot_rms", "strehl")
@@ -218,8 +221,8 @@ def _at_rest(dataset: xr.Dataset, bench: SystemBench) -> Iterator[dict[str, tupl
         known = {
             "disturbance": "at rest",
             "field": field,
-            "WFE P50 (nm)": number(wfe),
-            "spot P50 (µm)": number(spot),
+            "WFE P50 (nm)": number(beyond_rounding(wfe, NM_PER_MM * wavelength)),
+            "spot P50 (µm)": number(beyond_rounding(spot, 1e3 * wavelength)),
             "Strehl P50": number(strehl),
             "peak P50": number(float(peaks[place])),
         }

@@ -56,6 +56,7 @@ Array = NDArray[np.float64]
 
 MM_PER_M = 1e3
 NM_PER_MM = 1e6
+_ROUNDING = 1e-7  # of a wavelength: what the rounding of paths of meters leaves of a perfect wave
 
 
 @dataclass(frozen=True)
@@ -281,6 +282,11 @@ def deformable(
 def field_name(system: OpticalSystem, field: int) -> str:
     """Return a field point in words, such as ``(0, 10) deg``."""
     return point_name(system, system.fields[field])
+
+
+def beyond_rounding(length: float, wavelength: float) -> float:
+    """Return a length of the light at rest, or 0 where it is what rounding leaves; both in one unit."""
+    return length if abs(length) > _ROUNDING * wavelength else 0.0
 
 
 def light_of(prepared: PreparedSystem) -> str:

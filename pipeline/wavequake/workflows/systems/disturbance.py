@@ -36,6 +36,7 @@ from wavequake.workflows.segments.modal import MODAL, TRACED
 from wavequake.workflows.systems.bench import (
     NM_PER_MM,
     SystemBench,
+    beyond_rounding,
     field_name,
     imager_on,
     lost_light,
@@ -208,7 +209,10 @@ def describe(bench: SystemBench) -> dict[str, str]:
     """Return first-order data of the system and its wavefronts at rest, for the plan."""
     system, rays = bench.system, bench.study.optics.rays
     errors = [
-        [one.rms[0] * prepared.wavelength * NM_PER_MM for prepared, one in zip(*pair, strict=True)]
+        [
+            beyond_rounding(one.rms[0], 1.0) * prepared.wavelength * NM_PER_MM
+            for prepared, one in zip(*pair, strict=True)
+        ]
         for pair in zip(bench.prepared, bench.static, strict=True)
     ]
     lines = {
