@@ -28,7 +28,7 @@ OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL i
 NAMES = {"argvalues": OPENCL, "ids": lambda device: f"{device.kind}-{device.vector_width}"}
 INSTANTS, RAYS = 3, 45
 
-# What the elements of a system are made of; each system is one kernel, in which every other index is 1.
+# What the elements of a system are made of; each system is one kernel, in which every third index is 1.
 SYSTEMS = {
     "lens": [
         "conic refract circle",
@@ -103,7 +103,7 @@ def random_element(words, random, scale, index):
 
 def random_system(descriptions, seed, scale):
     random = np.random.default_rng(seed)
-    indices = [1.0 if place % 2 else random.choice([1.4, 3.0]) for place in range(len(descriptions))]
+    indices = [1.0 if place % 3 == 2 else random.choice([1.4, 3.0]) for place in range(len(descriptions))]
     parts = [
         random_element(words.split() if "moving grid" not in words else words, random, scale, index)
         for words, index in zip(descriptions, indices, strict=True)

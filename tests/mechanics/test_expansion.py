@@ -140,7 +140,7 @@ def test_temperatures_of_a_csv_by_number_or_place_over_time(tmp_path):
     np.savez(
         tmp_path / "t.npz", nodes_mm=mesh.nodes * 1e3, temperatures_c=both.reshape(2, -1), time_s=[0, 60]
     )
-    thermal = Thermal(expansion_per_k=ALPHA, nodes="SURFACE", held="INTERFACES")
+    thermal = Thermal(expansion_per_k=ALPHA, reference=20, nodes="SURFACE", held="INTERFACES")
     warmer = np.stack([0 * z, 10.0 + 100.0 * z])
     body = Solid("disc", mesh.nodes, {"hexahedron20": mesh.elements})
     exact = expanded(body, warmer, ALPHA, 0.33, mesh.mounts)[:, mesh.front_nodes]
@@ -195,7 +195,7 @@ def test_temperatures_of_calculix(tmp_path):
     (tmp_path / "t.frd").write_text(FRD)
     (tmp_path / "t.inp").write_text(TETRA)
     found = thermal_displacements(
-        tmp_path / "t.frd", "mm", tmp_path / "t.inp", Thermal(expansion_per_k=ALPHA)
+        tmp_path / "t.frd", "mm", tmp_path / "t.inp", Thermal(expansion_per_k=ALPHA, reference=20)
     )
     corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert_allclose(found.motions[0], 5.0 * ALPHA * 1e-3 * (corner - 0.25), rtol=1e-9, atol=1e-18)
@@ -206,7 +206,7 @@ def test_temperatures_of_points_without_places_are_passed_over(tmp_path):
     (tmp_path / "t.frd").write_text(FRD.replace(beyond, beyond + beyond.replace("4 2.5", "9 9.5")))
     (tmp_path / "t.inp").write_text(TETRA)
     found = thermal_displacements(
-        tmp_path / "t.frd", "mm", tmp_path / "t.inp", Thermal(expansion_per_k=ALPHA)
+        tmp_path / "t.frd", "mm", tmp_path / "t.inp", Thermal(expansion_per_k=ALPHA, reference=20)
     )
     assert np.ptp(found.motions[0], axis=0) == pytest.approx([5.0 * ALPHA * 1e-3] * 3)
 
@@ -233,5 +233,8 @@ def test_what_gives_no_displacements_is_said(tmp_path, csv, inp, thermal, words)
     (tmp_path / "t.inp").write_text(inp)
     with pytest.raises(UserError, match=words):
         thermal_displacements(
-            tmp_path / "t.csv", "mm", tmp_path / "t.inp", Thermal(expansion_per_k=ALPHA, **thermal)
+            tmp_path / "t.csv",
+            "mm",
+            tmp_path / "t.inp",
+            Thermal(expansion_per_k=ALPHA, reference=20, **thermal),
         )

@@ -257,7 +257,7 @@ def test_temperatures_of_a_mirror_change_its_radius_by_its_expansion(tmp_path):
         nodes_mm=front * 1e3,
         displacements_um=1e6 * alpha * np.stack([warmer * front, gradient * bent]),
     )
-    thermal = f'thermal = {{ expansion_per_k = {alpha}, nodes = "SURFACE" }}\n'
+    thermal = f'thermal = {{ expansion_per_k = {alpha}, reference = 20, nodes = "SURFACE" }}\n'
     text = NODAL + 'file = "temperatures.npz"\nmesh = "mirror.inp"\nunit = "m"\n' + thermal
     text += NODAL.replace("thermal", "exact") + 'file = "exact.npz"\n'
     for case in (1, 2):
@@ -275,9 +275,15 @@ def test_temperatures_of_a_mirror_change_its_radius_by_its_expansion(tmp_path):
     ("text", "words"),
     [
         ("", "holds temperatures; what they do is said by thermal"),
-        ("thermal = { expansion_per_k = 1e-5 }\n", "name the key mesh, a deck with the elements"),
+        (
+            "thermal = { expansion_per_k = 1e-5, reference = 20 }\n",
+            "name the key mesh, a deck with the elements",
+        ),
         ("thermal = { expansion = 1e-5 }\n", "thermal.expansion_per_k: field required"),
-        ('thermal = { expansion_per_k = 1e-5 }\nmesh = "temperatures.csv"\n', "name unit, that of the mesh"),
+        (
+            'thermal = { expansion_per_k = 1e-5, reference = 20 }\nmesh = "temperatures.csv"\n',
+            "name unit, that of the mesh",
+        ),
     ],
 )
 def test_temperatures_without_a_body_are_refused(tmp_path, text, words):

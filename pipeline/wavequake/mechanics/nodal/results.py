@@ -90,8 +90,8 @@ def read_results(
     moving = [step for step in written.steps if not step.is_thermal]
     if not moving:
         raise UserError(
-            f"{path.name} holds temperatures; what they do is said by thermal = {{ expansion_per_k = ... }} "
-            "of the disturbance, with a mesh of elements"
+            f"{path.name} holds temperatures; what they do is said by thermal = "
+            "{ expansion_per_k = ..., reference = ... } of the disturbance, with a mesh of elements"
         )
     scale = _scale(written, unit)
     kind = next((one for one in wanted if any(step.kind == one for step in moving)), None)

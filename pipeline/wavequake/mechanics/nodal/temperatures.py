@@ -26,8 +26,9 @@ class Thermal(BaseModel):
 
     expansion_per_k: float = Field(ge=-1e-2, le=1e-2, description="coefficient of linear expansion, 1/K")
     poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
+    # No default: files count in degrees Celsius or kelvin and do not say which.
     reference: float = Field(
-        default=20.0, description="temperature at which the body has its shape, as the file counts them"
+        description="temperature at which the body has its shape, as the file counts them"
     )
     nodes: Nodes | None = Field(
         default=None, description="node set or node numbers of the surface; default: all nodes"
