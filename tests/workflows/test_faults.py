@@ -277,7 +277,7 @@ def test_an_interruption_after_the_command_shows_no_traceback():
     script = (
         "import atexit, signal, sys, wavequake.cli as cli\n"
         "from wavequake.__main__ import main\n"
-        "cli.app = lambda words: sys.exit(0)\n"
+        "cli.app = lambda *words, **keys: sys.exit(0)\n"
         "atexit.register(signal.raise_signal, signal.SIGINT)\n"
         "sys.argv = ['wavequake', 'plan', 'x']\n"
         "main()\n"
@@ -290,7 +290,7 @@ def test_what_libraries_make_of_an_interruption_is_not_shown():
     script = (
         "import signal, sys, wavequake.cli as cli\n"
         "from wavequake.__main__ import main\n"
-        "def load(words):\n"
+        "def load(*words, **keys):\n"
         "    try:\n"
         "        signal.raise_signal(signal.SIGINT)\n"
         "    except KeyboardInterrupt:\n"
