@@ -43,7 +43,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-_PLAN_S = 9.0  # since the command began; what compiled code is doing then is waited for
+_PLAN_S = 7.0  # since the command began; what compiled code is doing then is waited for
 StudyArgument = Annotated[
     str,
     typer.Argument(

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from wavequake.files import folder
-from wavequake.kernels.device.devices import NUMPY
-from wavequake.kernels.device.program import aligned_empties, aligned_empty, source, watch
+from wavequake.kernels.device import program
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.device.program import aligned_empties, aligned_empty, launch, source, watch
 
 
 def test_headers_are_pasted_into_the_source_that_binaries_are_cached_by():
@@ -62,3 +63,32 @@ def test_short_work_is_watched_until_it_ends_or_fails_or_lasts(kind, statuses, g
 
     watch(SimpleNamespace(flush=lambda: None), replace(NUMPY, kind=kind), Event())
     assert len(seen) == glances
+
+
+SLOW = """
+__kernel void slow(const int rounds, __global float *out)
+{
+    float sum = get_global_id(1);
+    for (int k = 0; k < rounds; ++k)
+        sum = 0.5f * sum + 1.0f;
+    out[get_global_id(1)] = sum;
+}
+"""
+
+
+@pytest.mark.parametrize("device", list_devices(), ids=lambda device: device.kind)
+def test_what_is_interrupted_leaves_no_kernel_behind_that_writes_to_arrays(device, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    if device == NUMPY:
+        pytest.skip("NumPy has no queue")
+    monkeypatch.setattr(program, "watch", interrupt)
+    out = aligned_empty((16,), np.float32)
+    out[:] = 0
+    if device.kind != "cpu":
+        monkeypatch.setattr(program, "_fetch", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        launch(device, "slow", (), (1, 16, 1), [np.int32(10**8)], [out], text=SLOW, group=16)
+    if device.kind == "cpu":
+        np.testing.assert_array_equal(out, 2)  # the limit of the sum: the kernel had ended

@@ -89,13 +89,22 @@ def launch(
         kernel = _kernel(device, name, constants, text, scalar_types(arguments + results))
         kernel.set_args(*arguments, *results)
         padded = (lanes, -(-rays // group) * group, tiles)
-        event = cl.enqueue_nd_range_kernel(queue, kernel, padded, (lanes, group, 1))
-        if padded[1:] == (group, 1):
-            watch(queue, device, event)
-        for out, result in zip(outputs, results, strict=True):
-            _fetch(queue, device, out, result)
-        queue.finish()
+        with finished(queue):
+            event = cl.enqueue_nd_range_kernel(queue, kernel, padded, (lanes, group, 1))
+            if padded[1:] == (group, 1):
+                watch(queue, device, event)
+            for out, result in zip(outputs, results, strict=True):
+                _fetch(queue, device, out, result)
         count_launch(name, event)
+
+
+@contextmanager
+def finished(queue: Any) -> Iterator[None]:
+    """Wait for what is queued within, also after Ctrl-C and alarms: kernels work in arrays that end then."""
+    try:
+        yield
+    finally:
+        queue.finish()
 
 
 @contextmanager

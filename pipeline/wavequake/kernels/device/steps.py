@@ -16,6 +16,7 @@ from wavequake.kernels.device.program import (
     _output,
     _queue,
     building,
+    finished,
     scalar_types,
     watch,
 )
@@ -81,16 +82,16 @@ def run_steps(
         buffers |= {name: _output(queue, device, array) for name, array in outputs.items()}
         buffers |= {name: _scratch(queue, device, name, size) for name, size in scratch.items()}
         events = []
-        for step in steps:
-            kernel = _kernel(device, step.kernel, step.constants, step.text, scalar_types(step.arguments))
-            kernel.set_args(*(buffers[a] if isinstance(a, str) else a for a in step.arguments))
-            size = tuple(-(-n // g) * g for n, g in zip(step.size, step.group, strict=True))
-            events.append(cl.enqueue_nd_range_kernel(queue, kernel, size, step.group))
-        if events:
-            watch(queue, device, events[-1])
-        for name, out in outputs.items():
-            _fetch(queue, device, out, buffers[name])
-        queue.finish()
+        with finished(queue):
+            for step in steps:
+                kernel = _kernel(device, step.kernel, step.constants, step.text, scalar_types(step.arguments))
+                kernel.set_args(*(buffers[a] if isinstance(a, str) else a for a in step.arguments))
+                size = tuple(-(-n // g) * g for n, g in zip(step.size, step.group, strict=True))
+                events.append(cl.enqueue_nd_range_kernel(queue, kernel, size, step.group))
+            if events:
+                watch(queue, device, events[-1])
+            for name, out in outputs.items():
+                _fetch(queue, device, out, buffers[name])
         for step, event in zip(steps, events, strict=True):
             count_launch(step.kernel, event)
 
