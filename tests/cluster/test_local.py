@@ -58,6 +58,24 @@ def test_an_address_without_a_scheduler_is_one_sentence():
         pass
 
 
+def test_a_folder_for_temporary_files_that_is_too_deep_for_sockets_is_one_sentence(tmp_path):
+    deep = tmp_path / ("x" * 100)
+    deep.mkdir()
+    script = (
+        "from wavequake.cluster.local import prepare_workers\n"
+        "from wavequake.errors import UserError\n"
+        "try:\n    prepare_workers()\nexcept UserError as error:\n    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={**os.environ, "TMPDIR": str(deep)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert f"{deep} is too long a path for that: set TMPDIR" in done.stdout
+
+
 def test_interrupts_wait_until_they_may_come():
     steps = []
     other_threads_take_signals_too = threading.Thread(target=time.sleep, args=(0.2,))

@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -99,13 +100,26 @@ def prepare_workers(*modules: str) -> None:
 
     It has a single thread and ends with this process. A worker that is forked, also in place of one that
     died, has the modules already.
+
+    Raises
+    ------
+    UserError
+        If the path of the folder for temporary files is too long for a socket in it.
     """
     leave_if_imported_by_a_worker()
     with worker_environment(), interrupts_blocked():
         # Modules of plug-ins are no files that can be found there; what fails to load would end that process.
         ours = [name for name in modules if name.startswith("wavequake.")]
         forkserver.set_forkserver_preload([*_IMPORTED, *ours])
-        forkserver.ensure_running()
+        try:
+            forkserver.ensure_running()
+        except OSError as error:
+            if "too long" not in str(error):
+                raise
+            raise UserError(
+                f"workers need a socket in the folder for temporary files, and {tempfile.gettempdir()} is too "
+                "long a path for that: set TMPDIR to a shorter one (TMPDIR=/tmp), or run with --on serial."
+            ) from None
 
 
 @contextmanager
