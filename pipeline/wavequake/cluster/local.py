@@ -117,8 +117,8 @@ def prepare_workers(*modules: str) -> None:
             if "too long" not in str(error):
                 raise
             raise UserError(
-                f"workers need a socket in the folder for temporary files, and {tempfile.gettempdir()} is too "
-                "long a path for that: set TMPDIR to a shorter one (TMPDIR=/tmp), or run with --on serial."
+                f"workers need a socket in the folder for temporary files, and {tempfile.gettempdir()} is "
+                "too long a path for that: set TMPDIR to a shorter one, as /tmp, or run with --on serial."
             ) from None
 
 
