@@ -14,6 +14,9 @@ from hypothesis import settings
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 os.environ.setdefault("POCL_MAX_PTHREAD_COUNT", "1")
+os.environ.pop("COLUMNS", None)  # tables are as wide as it says, here as wide as they are in a pipe
+
+import wavequake.terminal  # noqa: E402  what it prints on is made now, whatever tests do to the output
 
 # A shell ignores Ctrl-C for what it runs in the background, and children would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

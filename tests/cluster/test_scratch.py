@@ -2,10 +2,12 @@
 
 import importlib.util
 import os
+import shutil
 import stat
 import subprocess
 import sys
 import tempfile
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 
 import pytest
@@ -16,16 +18,21 @@ from wavequake.cluster.scratch import scratch_folder, scratch_lines
 
 
 @pytest.fixture
-def shared(tmp_path, monkeypatch):
-    """The temporary folder of a machine, where somebody else made the folder that Dask shares by default."""
-    folder = tmp_path / "shared"
+def shared(monkeypatch):
+    """The temporary folder of a machine, where somebody else made the folder that Dask shares by default.
+
+    Sockets of workers lie where they lay before, for as long as this process of tests lives.
+    """
+    get_temp_dir()
+    folder = Path(tempfile.mkdtemp(prefix="shared-"))
     planted = folder / "dask-scratch-space"
     planted.mkdir(parents=True)
     (planted / "planted.py").touch()
     for each in (folder, planted):
         each.chmod(0o1777)
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    return folder
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def finds_what_was_planted():
