@@ -38,6 +38,12 @@ SHAPES = {
     "circular Zernike": ZernikeSag(500.0, -0.5, tuple(RNG.normal(size=45) * 2e-3), 70.0),
     "annular Zernike": ZernikeSag(-500.0, -0.5, tuple(RNG.normal(size=45) * 2e-3), 70.0, 0.3),
     "grid": GridSag(-700.0, 0.0, RNG.normal(size=(15, 12)) * 5e-3, 12.0, 10.0),
+    "grid on an asphere": GridSag(
+        *(-700.0, -0.4, RNG.normal(size=(9, 9)) * 5e-3, 20.0, 18.0),
+        even=(1e-5, -2e-8),
+        zernike=tuple(RNG.normal(size=11) * 2e-3),
+        pupil_radius=70.0,
+    ),
     "fine Zernike": ZernikeSag(500.0, -0.5, tuple(RNG.normal(size=325) * 2e-4), 70.0),
 }
 FORMS = {

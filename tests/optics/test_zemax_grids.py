@@ -68,6 +68,20 @@ def test_nodes_run_along_x_from_the_upper_left(unit, mm):
     np.testing.assert_allclose(shape_sag(shape, mm * at_x, mm * at_y)[0], mm * expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("CM", 10.0)])
+def test_an_even_asphere_and_zernike_polynomials_lie_below_a_grid(unit, mm):
+    """Zernike Standard 4 is sqrt(3) (2 r^2 / R^2 - 1)."""
+    x, _ = np.meshgrid(np.arange(6) - 2.5, np.arange(5) - 2.0)
+    more = ["PARM 1 1e-4", "PARM 3 2e-6", "XDAT 1 4 0 0", "XDAT 2 5 0 0", "XDAT 6 0.01 0 0"]
+    lines = ["CURV 0.01", "CONI -1", "PARM 0 0", *more, "GDAT 6 5 1 1 0 0 0", *nodes(1e-3 * x)]
+    shape = parse_zmx(file(*lines, unit=unit), "lens.zmx").surfaces[0].shape
+    at_x, at_y = np.array([1.3, -2.0, 0.2]), np.array([1.0, -1.5, 0.7])
+    square = at_x**2 + at_y**2
+    expected = square / 200 + 1e-4 * square + 2e-6 * square**3 + 1e-3 * at_x
+    expected += 0.01 * np.sqrt(3.0) * (2.0 * square / 25.0 - 1.0)
+    np.testing.assert_allclose(shape_sag(shape, mm * at_x, mm * at_y)[0], mm * expected, rtol=1e-12)
+
+
 def rough(rows=9, columns=7):
     heights = np.random.default_rng(5).normal(0, 1e-3, (rows, columns))
     return GridSag(-150.0, -0.4, heights, 2.0, 1.5)
@@ -127,8 +141,8 @@ HOLE = [*nodes(FLAT)[:-1], "GARR 25 0 0 0 0 1"]
         (["GDAT 5 5 0 1", *nodes(FLAT)], "spacings of a grid are 0.0 and 1.0"),
         (["GDAT 5 5 nan 1", *nodes(FLAT)], "not a finite number"),
         (["PARM 0 1", "GDAT 5 5 1 1", *nodes(FLAT)], "interpolated linearly"),
-        (["PARM 2 1e-6", "GDAT 5 5 1 1", *nodes(FLAT)], "parameter 2 of the type GRID_SAG must be 0"),
-        (["XDAT 1 4", "XDAT 2 5", "XDAT 6 0.1", "GDAT 5 5 1 1", *nodes(FLAT)], "extra number 6 of the type"),
+        (["PARM 9 1e-6", "GDAT 5 5 1 1", *nodes(FLAT)], "parameter 9 of the type GRID_SAG must be 0"),
+        (["XDAT 1 4", "XDAT 6 0.1", "GDAT 5 5 1 1", *nodes(FLAT)], "positive normalization radius .XDAT 2"),
         (["GDAT 40000 40000 1 1", *nodes(FLAT)], "announces 1600000000 nodes"),
     ],
 )

@@ -1,5 +1,10 @@
-"""A system as it stands at an instant: moved and deformed surfaces, and turned light, as a system at rest."""
+"""A system as it stands at an instant: moved and deformed surfaces, and turned light, as a system at rest.
 
+A conic or even asphere that deforms by polynomials is a Zernike sag, one that does on a grid a Grid Sag;
+other shapes become heights on a grid that is fine enough for 1e-5 waves (`wavequake.optics.systems.on_grid`).
+"""
+
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +23,8 @@ from wavequake.optics.shapes.shapes import (
     ZernikeSag,
 )
 from wavequake.optics.systems.kinematics import moved_poses
-from wavequake.optics.systems.system import OpticalSystem, Surface, SystemStates
+from wavequake.optics.systems.on_grid import on_grid
+from wavequake.optics.systems.system import OpticalSystem, SystemStates
 
 Array = NDArray[np.float64]
 
@@ -26,27 +32,31 @@ Array = NDArray[np.float64]
 def frozen(system: OpticalSystem, states: SystemStates, instant: int = 0) -> OpticalSystem:
     """Return the system at an instant, with nothing left that moves or deforms.
 
+    The light of a near object that turns is the system that turns the other way.
+
     Raises
     ------
     UserError
-        If there is no such instant, the light of a near object turns, or a surface has a form that no shape
-        holds together with its deformation.
+        If there is no such instant, or no grid holds a surface and its deformation well enough.
     """
     count = len(states.surface_motion)
     if not 0 <= instant < count:
         raise UserError(f"There are {count} instants, 0 to {count - 1}; there is no instant {instant}.")
-    position, rotation = moved_poses(system, states.surface_motion[instant : instant + 1])
+    (position,), (rotation,) = moved_poses(system, states.surface_motion[instant : instant + 1])
+    fields, turned = system.fields, states.line_of_sight[instant : instant + 1]
+    if turned.any():
+        (turn,), (shift,) = bundle_rotation(system, turned)
+        if np.isfinite(system.object_distance):
+            position, rotation = (position - shift) @ turn, turn.T @ rotation
+        else:
+            fields = _turned(fields, turn)
     surfaces = []
     for index, surface in enumerate(system.surfaces):
         given = states.deformations[index]
-        shape = surface.shape if given is None else _deformed(surface, given[instant])
+        shape = surface.shape if given is None else _deformed(system, index, given[instant])
         surfaces.append(
             replace(
-                surface,
-                shape=shape,
-                deformation=None,
-                position=position[0, index],
-                rotation=rotation[0, index],
+                surface, shape=shape, deformation=None, position=position[index], rotation=rotation[index]
             )
         )
     moved = surfaces[0].position[2] - system.surfaces[0].position[2]
@@ -54,62 +64,77 @@ def frozen(system: OpticalSystem, states: SystemStates, instant: int = 0) -> Opt
         system,
         surfaces=tuple(surfaces),
         object_distance=system.object_distance + float(moved),
-        fields=_turned(system, states.line_of_sight[instant]),
+        fields=fields,
     )
 
 
-def _turned(system: OpticalSystem, line_of_sight: Array) -> Array:
-    if not line_of_sight.any():
-        return system.fields
-    if np.isfinite(system.object_distance):
-        raise UserError(
-            f"The light of {system.name} comes from a near object and turns, which fields cannot say."
-        )
-    turn, _ = bundle_rotation(system, line_of_sight[None])
-    slopes = np.tan(system.fields)
-    directions = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1) @ turn[0].T
+def _turned(fields: Array, turn: Array) -> Array:
+    """Return the angles of fields whose directions a rotation turns."""
+    slopes = np.tan(fields)
+    directions = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1) @ turn.T
     angles: Array = np.arctan(directions[:, :2] / directions[:, 2:])
     return angles
 
 
-def _deformed(surface: Surface, numbers: Array) -> Shape:
-    shape, form = surface.shape, surface.deformation
+def _deformed(system: OpticalSystem, index: int, numbers: Array) -> Shape:
+    shape, form = system.surfaces[index].shape, system.surfaces[index].deformation
     if not numbers.any():
         return shape
-    if isinstance(form, GridDeformation):
-        if isinstance(shape, Conic):
-            return GridSag(
-                shape.radius, shape.conic, numbers.reshape(form.rows, form.columns), form.dx, form.dy
-            )
-    elif isinstance(form, ZernikeDeformation) and not numbers[form.terms :].any():
-        terms = numbers[: form.terms]
-        if isinstance(shape, Conic):
-            return ZernikeSag(
-                shape.radius, shape.conic, tuple(terms.tolist()), form.pupil_radius, form.obscuration
-            )
-        if isinstance(shape, EvenAsphere):
-            shape = _with_zernike(shape, form)
-        same = isinstance(shape, ZernikeSag) and (shape.pupil_radius, shape.obscuration) == (
-            form.pupil_radius,
-            form.obscuration,
+    found: Shape | None = shape
+    grid, rough = form, numbers
+    if isinstance(form, ZernikeDeformation):
+        grid, rough = form.residual, numbers[form.terms :]
+        found = _with_zernike(shape, form, numbers[: form.terms])
+    if found is not None and isinstance(grid, GridDeformation) and rough.any():
+        found = _with_grid(found, grid, rough.reshape(grid.rows, grid.columns))
+    return on_grid(system, index, numbers) if found is None else found
+
+
+def _with_zernike(shape: Shape, form: ZernikeDeformation, terms: Array) -> ZernikeSag | GridSag | None:
+    """Return a shape and polynomials that deform it as one, if it is a sum of such polynomials but a grid.
+
+    Powers of an even asphere are finite sums of them, and those over a ring of those over a circle.
+    """
+    norm, ring = form.pupil_radius, form.obscuration
+    if isinstance(shape, Conic):
+        return ZernikeSag(shape.radius, shape.conic, tuple(terms.tolist()), norm, ring)
+    if isinstance(shape, EvenAsphere):
+        powers = powers_as_zernike(shape.coefficients, norm) if any(shape.coefficients) else ()
+        return ZernikeSag(shape.radius, shape.conic, _sum(powers, 0.0, terms, ring), norm, ring)
+    if isinstance(shape, ZernikeSag) and shape.pupil_radius == norm:
+        return replace(
+            shape, coefficients=_sum(shape.coefficients, shape.obscuration, terms, ring), obscuration=ring
         )
-        if same:
-            assert isinstance(shape, ZernikeSag)
-            count = max(len(shape.coefficients), form.terms)
-            total = np.zeros(count)
-            total[: len(shape.coefficients)] += shape.coefficients
-            total[: form.terms] += terms
-            return replace(shape, coefficients=tuple(total.tolist()))
-    raise UserError(
-        f"The surface {surface.name} is a {type(shape).__name__} that deforms; no shape holds both (conics "
-        "and even aspheres that deform by Zernike polynomials are known, and conics that do on a grid). "
-        "Displacements, FILE.txt, hold all."
+    if isinstance(shape, GridSag) and (not shape.zernike or shape.pupil_radius == norm):
+        circular = transform_coefficients(terms, ring, 0.0)
+        return replace(shape, zernike=_sum(shape.zernike, 0.0, circular, 0.0), pupil_radius=norm)
+    return None
+
+
+def _sum(own: Sequence[float], source: float, terms: Array, target: float) -> tuple[float, ...]:
+    """Return the sum of polynomials over two rings as polynomials over the second."""
+    moved = transform_coefficients(np.array(own), source, target) if len(own) else np.zeros(0)
+    total = np.zeros(max(len(moved), len(terms)))
+    total[: len(moved)] += moved
+    total[: len(terms)] += terms
+    return tuple(total.tolist())
+
+
+def _with_grid(shape: Shape, form: GridDeformation, heights: Array) -> GridSag | None:
+    """Return a shape and heights on a grid as one surface, if grids are kept over such a shape."""
+    on_conic = GridSag(shape.radius, shape.conic, heights, form.dx, form.dy)
+    if isinstance(shape, Conic):
+        return on_conic
+    if isinstance(shape, EvenAsphere):
+        return replace(on_conic, even=shape.coefficients)
+    if isinstance(shape, ZernikeSag) and not shape.obscuration:
+        return replace(on_conic, zernike=shape.coefficients, pupil_radius=shape.pupil_radius)
+    same = isinstance(shape, GridSag) and (shape.heights.shape, shape.dx, shape.dy) == (
+        heights.shape,
+        form.dx,
+        form.dy,
     )
-
-
-def _with_zernike(shape: EvenAsphere, form: ZernikeDeformation) -> ZernikeSag:
-    """Return an even asphere by the polynomials that deform it, of which its powers are finite sums."""
-    powers = powers_as_zernike(shape.coefficients, form.pupil_radius) if any(shape.coefficients) else ()
-    if powers and form.obscuration:
-        powers = tuple(transform_coefficients(np.array(powers), 0.0, form.obscuration).tolist())
-    return ZernikeSag(shape.radius, shape.conic, powers, form.pupil_radius, form.obscuration)
+    if same:
+        assert isinstance(shape, GridSag)
+        return replace(shape, heights=shape.heights + heights)
+    return None

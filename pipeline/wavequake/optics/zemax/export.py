@@ -302,25 +302,33 @@ def _shape(surface: Surface, system: str) -> list[str]:
     numbers = [f"CURV {written(1.0 / shape.radius)}", f"CONI {written(shape.conic)}"]
     if isinstance(shape, Conic):
         return ["TYPE STANDARD", *numbers]
+    where = f"{surface.name} of {system}"
     if isinstance(shape, GridSag):
-        return ["TYPE GRID_SAG", *numbers, "PARM 0 0", *grid_lines(shape, f"{surface.name} of {system}")]
+        return ["TYPE GRID_SAG", *numbers, *_grid_sag(shape, where)]
     if not isinstance(shape, EvenAsphere | ExtendedPolynomial | ZernikeSag):
-        where = f"{surface.name} of {system}"
         if not shape.zemax:
             raise UserError(
                 f"The surface {where} is a {type(shape).__name__}, for which lens files have no surface type."
             )
         return [f"TYPE {shape.zemax}", *numbers, *shape.zemax_lines(where)]
-    kind, form, most = _LISTS[type(shape)]
-    if len(shape.coefficients) > most:
-        raise UserError(
-            f"The surface {surface.name} of {system} has {form} of {len(shape.coefficients)} terms; a lens "
-            f"file cannot hold more than {most} terms."
-        )
-    return [f"TYPE {kind}", *numbers, *_coefficients(shape, f"{surface.name} of {system}")]
+    return [f"TYPE {_LISTS[type(shape)][0]}", *numbers, *_coefficients(shape, where)]
+
+
+def _grid_sag(shape: GridSag, where: str) -> list[str]:
+    """Return the lines of heights on a grid with the even asphere and the polynomials below them."""
+    even = EvenAsphere(shape.radius, shape.conic, shape.even)
+    zernike = ZernikeSag(shape.radius, shape.conic, shape.zernike, shape.pupil_radius)
+    below = _coefficients(even, where) + (_coefficients(zernike, where) if shape.zernike else [])
+    return ["PARM 0 0", *below, *grid_lines(shape, where)]
 
 
 def _coefficients(shape: EvenAsphere | ExtendedPolynomial | ZernikeSag, where: str) -> list[str]:
+    _, form, most = _LISTS[type(shape)]
+    if len(shape.coefficients) > most:
+        raise UserError(
+            f"The surface {where} has {form} of {len(shape.coefficients)} terms; a lens file cannot hold "
+            f"more than {most} terms."
+        )
     if isinstance(shape, EvenAsphere):
         return [f"PARM {k} {written(value)}" for k, value in enumerate(shape.coefficients, start=1)]
     if isinstance(shape, ExtendedPolynomial):

@@ -3,7 +3,8 @@
 A line ``GDAT nx ny dx dy`` announces the grid; ``GARR k z dz/dx dz/dy d2z/dxdy`` holds a node each, from the
 upper left (-x, +y) along x and then downwards, in units of the file. A surface that is read goes through the
 heights by a bicubic spline of its own, whatever the slopes; the ones that are written are the spline's, so
-the patches between four nodes are the same polynomials.
+the patches between four nodes are the same polynomials. Parameters 1 to 8 add an even asphere, the extra data
+Zernike polynomials (`wavequake.optics.zemax.surfaces`).
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ from wavequake.optics.shapes.basis import spline_coefficients
 from wavequake.optics.shapes.sag import require_shape
 from wavequake.optics.shapes.sag_file import MAX_NODES
 from wavequake.optics.shapes.shapes import GridSag
-from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail, require_no_numbers, written
+from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail, written
 
 FEWEST_NODES = 5
 
@@ -23,16 +24,12 @@ _SLOPE: Weights = (-1 / 2, 0.0, 1 / 2)
 
 
 def grid_sag(row: Row, scale: float, radius: float, conic: float) -> GridSag:
-    """Return a Grid Sag surface in mm; `scale` is mm per unit of the file."""
-    parameters = row.table("PARM")
-    if parameters.get(0, 0.0):
+    """Return a Grid Sag surface on its conic in mm; `scale` is mm per unit of the file."""
+    if row.table("PARM").get(0, 0.0):
         fail(
             next(line for line in row.lines["PARM"] if as_integer(line, 0) == 0),
             f"{row.label} is interpolated linearly, with edges at every node; choose the bicubic spline",
         )
-    # Parameters 1-8 add an even asphere, 9 and 10 shift the Zernike terms of the extra data.
-    require_no_numbers(row, "PARM", {k: value for k, value in parameters.items() if k})
-    require_no_numbers(row, "XDAT", {k: value for k, value in row.table("XDAT").items() if k > 2})
     head = row.one("GDAT")
     if head is None:
         fail(row.line, f"{row.label} has no grid (GDAT and GARR); import its heights and save the file again")

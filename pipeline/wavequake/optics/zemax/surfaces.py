@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 
 import numpy as np
@@ -10,7 +11,15 @@ from wavequake.optics.polynomials.indices import convert_coefficients
 from wavequake.optics.polynomials.transforms import powers_as_zernike
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.shapes.shape import shape_of_type, zemax_types
-from wavequake.optics.shapes.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, Shape, ZernikeSag
+from wavequake.optics.shapes.shapes import (
+    Conic,
+    EvenAsphere,
+    ExtendedPolynomial,
+    GridSag,
+    Opening,
+    Shape,
+    ZernikeSag,
+)
 from wavequake.optics.systems.kinematics import Break
 from wavequake.optics.zemax.gradients import GRADIENTS
 from wavequake.optics.zemax.grids import grid_sag
@@ -27,7 +36,7 @@ from wavequake.optics.zemax.rows import (
     require_no_numbers,
 )
 
-MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37}  # both lists end with degree 20
+MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37, "GRID_SAG": 231}  # up to degree 20
 
 _FRINGE_TERMS = 36
 _CORNERS = 72  # of the polygon that stands for an ellipse
@@ -47,7 +56,7 @@ def shape(row: Row, scale: float) -> Shape:
         "XPOLYNOM": _extended_polynomial,
         "SZERNSAG": _zernike,
         "FZERNSAG": _zernike,
-        "GRID_SAG": grid_sag,
+        "GRID_SAG": _grid_sag,
     }
     if row.type in builders:
         return builders[row.type](row, scale, radius, kappa)
@@ -89,6 +98,14 @@ def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
     if any(powers):
         coefficients = _added(coefficients, powers_as_zernike(powers, norm))
     return ZernikeSag(radius, conic, coefficients, norm)
+
+
+def _grid_sag(row: Row, scale: float, radius: float, conic: float) -> GridSag:
+    # Parameters 1-8 add an even asphere, 9 and 10 shift the Zernike terms of the extra data.
+    powers = {k: value for k, value in numbered(row, "PARM", 0, 8).items() if k}
+    zernike, norm = _extra_data(row, scale) if row.table("XDAT").get(1, 0.0) else ((), 1.0)
+    on_conic, even = grid_sag(row, scale, radius, conic), powers_scaled(powers, scale, 2, 2)
+    return replace(on_conic, even=even, zernike=zernike, pupil_radius=norm)
 
 
 def _added(one: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
