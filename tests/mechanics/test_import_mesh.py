@@ -112,7 +112,7 @@ def test_nastran_deck_keeps_node_numbers(tmp_path):
         f"GRID    {n:8d}        {x:8.3f}{y:8.3f}{0.0:8.3f}" for n, x, y in [(5, 0, 0), (9, 1, 0), (70, 0, 1)]
     ]
     lines += [f"CTRIA3  {1:8d}{1:8d}{5:8d}{9:8d}{70:8d}", "ENDDATA"]
-    (tmp_path / "t.bdf").write_text("\n".join(lines) + "\n")
+    (tmp_path / "t.bdf").write_text("\n".join(lines))  # behind ENDDATA no end of a line is needed
     mesh = read_mesh(tmp_path / "t.bdf")
     assert_array_equal(mesh.labels, [5, 9, 70])
     assert_array_equal(mesh.points[2], [0, 1, 0])
@@ -193,6 +193,7 @@ def test_nodes_stand_in_the_axes_that_their_cards_name(tmp_path):
         ("GRID*,1,,x\n", "line 2: 'X' is not a number"),
         ("GRID,1,,x\n", "line 2: 'X' is not a number"),
         ("$ nothing\n", "has no nodes: no GRID card"),
+        ("GRID,1,,1.2", "line 2 has no end, and ENDDATA is missing"),
         ("INCLUDE 'bad.bdf'\n", "line 2: bad.bdf includes itself"),
     ],
 )

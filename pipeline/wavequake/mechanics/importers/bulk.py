@@ -63,7 +63,8 @@ def cards(path: Path) -> Iterator[Card]:
 
 
 def _cards(path: Path, opened: tuple[Path, ...]) -> Iterator[Card]:
-    lines = read_bytes(path).decode("latin-1").splitlines()
+    text = read_bytes(path).decode("latin-1")
+    lines = text.splitlines()
     begin = next((k for k, line in enumerate(lines) if line.strip().upper().startswith("BEGIN")), -1)
     held: Card | None = None
     for number, raw in enumerate(lines[begin + 1 :], start=begin + 2):
@@ -92,6 +93,12 @@ def _cards(path: Path, opened: tuple[Path, ...]) -> Iterator[Card]:
             held = Card(name, fields, number)
         elif held is not None:
             held.fields.extend(fields)
+    else:  # there is no ENDDATA, and a number that is cut off may still read as one
+        if not text.endswith(("\n", "\r")):
+            raise UserError(
+                f"{path.name}, line {len(lines)} has no end, and ENDDATA is missing: the file is cut off, or "
+                "its last line needs an end"
+            )
     if held is not None:
         yield held
 
