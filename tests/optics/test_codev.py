@@ -126,7 +126,14 @@ def test_glasses_may_leave_out_hyphens_and_maker():
     ("old", "new", "match"),
     [
         ("  K -0.5", "  K -0.5\n  GLB 3.0", r"line 21 \(GLB\): GLB changes the light"),
-        ("  STO", "  GRT\n  STO", r"GRT changes the light"),
+        ("  STO", "  GRT\n  STO", r"line 25 \(GRT\): surface 5 is a grating without a positive spacing"),
+        ("  STO", "  DIF GRT\n  GRS 1e-3; GRY 0\n  STO", r"grooves in no direction"),
+        ("  STO", "  DIF GRT\n  GRS 1e-3; GRZ 1\n  STO", r"grooves that are no sections along its axis"),
+        ("  STO", "  DIF HOE\n  STO", r"line 25 \(DIF\): the diffractive surface DIF HOE is not supported"),
+        ("  STO", "  DIF DOE\n  HCO C1 1e-3\n  STO", r"without a wavelength of its paths"),
+        ("  STO", "  DIF DOE\n  HCT XY\n  STO", r"phase of type HCT XY is not supported"),
+        ("  STO", "  DIF DOE\n  HCO 1\n  STO", r"HCO needs a coefficient from C1 to C100"),
+        ("  STO", "  DIF DOE\n  HX1 1\n  STO", r"HX1 makes a hologram of two points"),
         ("RDM;", "", r"line 14 \(S\): the file does not say whether it gives radii"),
         ("GO", "ZOO 2\nZOO THI S1 1 2 3", "THI has 3 values for 2 zoom positions"),
         ("GO", "ZOO 2\nZOO GLA S1 'NBK7' 'NSF6'", "the zoom position changes GLA"),
@@ -375,3 +382,81 @@ def test_a_zoom_position_gives_radii_and_curvatures_whichever_lines_of_surfaces_
     (tmp_path / "zoom.seq").write_text(f"{mode}; LEN; {lens}; ZOO 2; ZOO {zoom}; GO\n")
     radii = [read_seq(tmp_path / "zoom.seq", None, one).surfaces[0].shape.radius for one in (1, 2)]
     assert radii == pytest.approx([50.0, 80.0])
+
+
+GRATING = """RDM;LEN
+DIM {unit}
+EPD 1.0
+WL 500
+SO 0.0 0.1e14
+S {radius} {distance} {glass}
+  DIF GRT
+  GRO {order}; GRS {spacing}{more}
+  STO
+SI 0.0 0.0
+"""
+
+
+@pytest.mark.parametrize("glass", ["", "REFL"])
+@pytest.mark.parametrize(
+    ("more", "turned"),
+    [("", 0.0), ("; GRX 3; GRY 4; GRZ 0", np.arctan2(3, 4)), ("; GRX 1; GRY 0", np.pi / 2)],
+)
+@pytest.mark.parametrize(("unit", "mm"), [("M", 1.0), ("I", 25.4)])
+def test_gratings_bend_light_by_their_order(glass, more, turned, unit, mm):
+    """sin = order wavelength / spacing along the vector across the grooves."""
+    distance = -100.0 if glass else 100.0
+    words = {"radius": 0.0, "distance": distance / mm, "glass": glass, "unit": unit, "more": more}
+    system = read(GRATING.format(order=-2, spacing=1 / 300 / mm, **words))
+    x, y = np.array([0.1, -0.2]), np.array([0.3, 0.05])
+    start = Rays(np.stack([x, y, [-5.0, -5.0]]), np.array([[0.0], [0.0], [1.0]]) * np.ones(2), np.zeros(2))
+    found = trace_sequence(pack(system, 500e-6), start, moving(system, rest_states(system)), NUMPY)
+    away = 100.0 * np.tan(np.arcsin(-2 * 500e-6 * 300.0))
+    np.testing.assert_allclose(found.x[0], x + away * np.sin(turned), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(found.y[0], y + away * np.cos(turned), rtol=0, atol=1e-11)
+
+
+def test_a_grating_on_an_asphere_keeps_its_powers():
+    text = GRATING.format(
+        radius=50.0, distance=30, glass="N-BK7", unit="M", order=1, spacing=0.01, more="; ASP; A 1e-6"
+    )
+    surface = read(text).surfaces[0]
+    np.testing.assert_allclose(surface.shape.coefficients, [0.0, 1e-6], rtol=1e-15)
+    np.testing.assert_allclose(surface.phase.polynomial, [0.0, 2 * np.pi / 0.01], rtol=1e-15)
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("M", 1.0), ("I", 25.4)])
+def test_diffractive_lenses_focus_by_their_paths(unit, mm):
+    """A path C1 r^2 at its wavelength is a lens of f = -1 / (2 C1), shorter for longer waves."""
+    text = GRATING.format(radius=0.0, distance=80 / mm, glass="", unit=unit, order=1, spacing=1, more="")
+    text = text.replace("DIF GRT", "DIF DOE").replace("GRO 1; GRS 1", f"HWL 400; HCT R; HCO C1 {-mm / 200!r}")
+    assert paraxial(read(text)).focal_length == pytest.approx(100.0 * 400 / 500, rel=1e-12)
+
+
+def test_a_public_hybrid_lens_focuses_where_its_file_has_the_image():
+    """Number 65988 of a catalogue, a test of ray-optics (CODV_65988.seq, BSD): E48R has the index 1.53116."""
+    text = """RDM;LEN
+EPD 12.0
+DIM M
+WL 587.5618
+XAN 0.0
+SO 0.0 0.1e14
+S 9.93 3.7 1.53116:56.0
+  STO
+  CIR 6.0
+  ASP
+  K -0.71
+  A -0.1581980090969e-4; B -0.2770951746068999e-6; C -0.1216086045095e-8; D 0.0
+  DIF DOE
+  HOR 1.0
+  HWL 587.5618; HCT R
+  HCO C1 -0.001807322521767816; HCC C1 100
+S -48.3 12.94603127272
+SI 0.0 0.0
+"""
+    system = read(text)
+    assert paraxial(system).back_focus == pytest.approx(12.94603127272, abs=1e-5)
+    y = np.linspace(0.5, 5.5, 6)
+    rays = Rays(np.stack([0 * y, y, 0 * y - 1.0]), np.array([[0.0], [0.0], [1.0]]) * np.ones(6), np.zeros(6))
+    found = trace_sequence(pack(system, 587.5618e-6), rays, moving(system, rest_states(system)), NUMPY)
+    assert np.abs(found.y).max() < 3e-5

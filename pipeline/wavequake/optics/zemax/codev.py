@@ -3,7 +3,7 @@
 Each command becomes the line of a .zmx file that says the same, with the number of its own line, so that all
 that follows (glasses, fields, beams, problems) is that of `wavequake.optics.zemax.read`. Decenters and tilts
 become coordinate breaks (`wavequake.optics.zemax.codev_tilts`), zoom positions are put in place before
-(`wavequake.optics.zemax.codev_zooms`); diffractive surfaces are refused.
+(`wavequake.optics.zemax.codev_zooms`).
 """
 
 import re
@@ -15,6 +15,7 @@ from wavequake.errors import UserError
 from wavequake.optics.media.glasses import Medium, catalogue, catalogues
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.text_file import read_text
+from wavequake.optics.zemax.codev_gratings import COMMANDS, Grating, with_grating
 from wavequake.optics.zemax.codev_tilts import TILTS, Tilt, with_breaks
 from wavequake.optics.zemax.codev_zooms import at_position
 from wavequake.optics.zemax.lens_file import LensFile
@@ -27,7 +28,7 @@ _FIELDS = {"AN": "0", "OB": "1", "IM": "2", "RI": "3"}
 _POWERS = "ABCDEFGHJ"  # of r^4, r^6, ...
 _MOVES_LIGHT = frozenset(
     (
-        *("RET", "GLB", "GRT", "GRO", "DIF", "XOD", "YOD", "ZOD"),
+        *("RET", "GLB", "XOD", "YOD", "ZOD"),
         *("HOE", "SPS", "XTO", "YTO", "CYL", "AAS", "THI", "CUY", "RDY", "GLA", "DEL", "INS"),
         *("ELX", "ELY"),
     )
@@ -73,6 +74,7 @@ class _Draft:
     names: set[str] = field(default_factory=set)
     tilts: dict[int, Tilt] = field(default_factory=dict)
     rectangles: dict[int, dict[str, Line]] = field(default_factory=dict)
+    gratings: dict[int, Grating] = field(default_factory=dict)
 
     def say(self, number: int, keyword: str, rest: str) -> None:
         self.header.setdefault(keyword, []).append(Line(self.where, number, keyword, rest))
@@ -211,6 +213,8 @@ def _of_surface(draft: _Draft, line: Line) -> bool:
             draft.add(number, "CLAP", f"0 {words[-1]}")
     elif keyword in TILTS:
         draft.tilts.setdefault(len(draft.rows) - 1, Tilt()).take(line)
+    elif keyword in COMMANDS:
+        draft.gratings.setdefault(len(draft.rows) - 1, Grating(line)).take(line)
     elif keyword in ("REX", "REY", "ADX", "ADY"):
         draft.rectangles.setdefault(len(draft.rows) - 1, {})[keyword] = line
     else:
@@ -267,6 +271,9 @@ def _complete(draft: _Draft) -> None:
             row.lines.setdefault("SQAP", []).append(Line(line.where, line.number, "SQAP", text))
         text = f"{numbers.get('ADX', 0.0)!r} {numbers.get('ADY', 0.0)!r}"
         row.lines["OBDC"] = [Line(line.where, line.number, "OBDC", text)]
+    unit = draft.header["UNIT"][-1].rest if "UNIT" in draft.header else "MM"
+    for number, grating in draft.gratings.items():
+        draft.rows[number] = with_grating(draft.rows[number], grating, unit)
     if not any("STOP" in row.lines for row in draft.rows):  # by default the first surface is the stop
         draft.rows[1].lines["STOP"] = [Line(draft.where, draft.rows[1].line.number, "STOP", "")]
     if len(draft.names) > 1:
