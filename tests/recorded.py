@@ -15,11 +15,13 @@ size OpenBLAS is told, and with one or two threads of BLAS.
 import os
 import subprocess
 import sys
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest.mock import patch
 
 import numpy as np
 from tests.workflows.small_disc import DISC
@@ -309,6 +311,17 @@ def compute(name, workers=False):
     }
 
 
+@contextmanager
+def shared_workers():
+    """Start two workers that all studies share: starting them anew takes longer than most studies."""
+    from wavequake.campaign.engine import driver
+    from wavequake.cluster.local import local_cluster
+
+    with local_cluster(2) as client, patch.object(driver, "place_of") as place_of:
+        place_of.return_value = lambda workers, dashboard: nullcontext(client)
+        yield
+
+
 def condense(values):
     """Return an array, or of a large one some of its numbers and weighted sums, as {suffix: array}."""
     if values.dtype.kind not in "fiub":
@@ -406,11 +419,12 @@ def main(*words):
     names = [word for word in words if not word.startswith("--")] or list(RECORDED)
     if unknown := set(names) - set(RECORDED):
         sys.exit(f"There is no recording {', '.join(sorted(unknown))}; there are {', '.join(RECORDED)}.")
-    same = True
-    for name in names:
-        bits, changed = compare(name, record="--compare" not in words, workers="--workers" in words)
-        same = same and not changed
-        print(f"{name}: {changed or 'agrees'} {bits[:16]}", flush=True)
+    same, workers = True, "--workers" in words
+    with shared_workers() if workers else nullcontext():
+        for name in names:
+            bits, changed = compare(name, record="--compare" not in words, workers=workers)
+            same = same and not changed
+            print(f"{name}: {changed or 'agrees'} {bits[:16]}", flush=True)
     return int("--compare" in words and not same)
 
 

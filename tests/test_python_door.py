@@ -21,7 +21,7 @@ from wavequake.workflows import study, zernike_arrays
 from wavequake.workflows.systems import source as system_source
 
 # Commands that act on a terminal or another machine, or that Python says by other names.
-OTHERS = {"devices", "firmware", "info", "new", "retry", "rerun", "status"}
+OTHERS = {"devices", "firmware", "new", "retry", "rerun", "status"}
 
 STUDY = """
 [study]

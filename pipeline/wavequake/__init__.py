@@ -3,7 +3,7 @@
 >>> import wavequake as wq
 >>> ds = wq.run("tmt-segments", cases=100)            # doctest: +SKIP
 >>> ds = wq.open_store("runs/tmt-segments-1a2b3c4d")  # doctest: +SKIP
->>> print(wq.load_system("double-gauss").info())      # doctest: +SKIP
+>>> print(wq.info(wq.load_system("double-gauss")))    # doctest: +SKIP
 >>> wq.draw("euv").savefig("euv.svg")                 # doctest: +SKIP
 """
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     )
     from wavequake.doors.telemetry import agreement, identify
     from wavequake.drawing.draw import draw
+    from wavequake.optics.systems.info import info
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.reduction.reduce import reduce
     from wavequake.viewer.animate import animate
@@ -59,6 +60,7 @@ __all__ = [
     "draw",
     "export",
     "identify",
+    "info",
     "load_model",
     "load_study",
     "load_system",
@@ -98,6 +100,7 @@ _HOMES = {
     "draw": "wavequake.drawing.draw",
     "export": "wavequake.doors.studies",
     "identify": "wavequake.doors.telemetry",
+    "info": "wavequake.optics.systems.info",
     "load_model": "wavequake.doors.models",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.source",

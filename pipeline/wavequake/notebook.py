@@ -47,11 +47,13 @@ def explain(ipython: Any, kind: type[Exception], error: Exception, trace: Any, t
 def shown(thing: Any) -> str:
     """Return the drawing of a system, telescope or model, and its table if there is one."""
     from wavequake.drawing.draw import draw
+    from wavequake.optics.systems.info import info
+    from wavequake.optics.systems.system import OpticalSystem
 
     table = ""
     try:
-        if hasattr(thing, "info"):
-            table = f"<pre>{_text(thing.info())}</pre>"
+        if isinstance(thing, OpticalSystem):
+            table = f"<pre>{_text(info(thing))}</pre>"
         svg = draw(thing)._repr_svg_()
     except UserError as error:
         return f"<p>{_text(repr(thing))}</p>{table}<p>{_text(str(error))}</p>"

@@ -13,6 +13,7 @@ from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.shapes.sag import shape_sag
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import wavelength_of
@@ -248,7 +249,7 @@ def test_the_double_gauss_images_its_field_without_much_distortion():
 
 @pytest.mark.parametrize("name", system_names())
 def test_every_system_prints_its_data(name):
-    text = optical_system(name).info()
+    text = info(optical_system(name))
     assert name in text.splitlines()[0]
     for word in ("focal length", "entrance pupil", "exit pupil", "f-number", "wavelength", "stop", "image"):
         assert word in text

@@ -91,7 +91,7 @@ def test_every_bundled_system_is_of_the_right_kind():
 )
 def test_a_surface_of_another_kind_is_told(changes, words):
     with pytest.raises(UserError, match=words):
-        mirror(**changes).info()
+        wq.info(mirror(**changes))
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_a_surface_of_another_kind_is_told(changes, words):
 )
 def test_a_system_of_another_kind_is_told(changes, words):
     with pytest.raises(UserError, match=words):
-        replace(GREGORIAN, **changes).info()
+        wq.info(replace(GREGORIAN, **changes))
 
 
 CALLS = {
@@ -255,7 +255,7 @@ BEYOND = "it must be a number of 1.8e308 at most"
         (lambda: array(np.ma.masked_array([1.0, 2.0], [0, 1]), "they"), "they must be .* not a masked one"),
         (lambda: array([[1.0, np.ma.masked]], "they"), "they must be a plain array, not a masked one"),
         (lambda: alike("they", [1.0], np.ma.masked_array([1.0])), "not a masked one"),
-        (lambda: mirror(shape=Conic(10**400)).info(), r"shape.radius is 1000.*; it must be a number"),
+        (lambda: wq.info(mirror(shape=Conic(10**400))), r"shape.radius is 1000.*; it must be a number"),
         (lambda: constant(10**400), "refractive index is 1000.*; " + BEYOND),
     ],
 )
@@ -297,7 +297,7 @@ def test_long_doubles_beyond_floats_are_told():
 )
 def test_shapes_beyond_all_bounds_are_told_without_warnings(shape, words):
     with pytest.raises(UserError, match=words):
-        mirror(shape=shape).info()
+        wq.info(mirror(shape=shape))
 
 
 @given(

@@ -141,7 +141,7 @@ def test_a_qbfs_asphere_of_a_catalogue_focuses_as_its_maker_says():
     """ASL5040-UV of Thorlabs: f = 40 mm, numerical aperture 0.65, diffraction-limited at its wavelength."""
     lens = read_zmx(LENSES / "ray_optics_asl5040_uv_zemax_zmx.zmx")
     assert isinstance(lens.surfaces[0].shape, ForbesAsphere)
-    data = wq.load_system(LENSES / "ray_optics_asl5040_uv_zemax_zmx.zmx").info()
+    data = wq.info(wq.load_system(LENSES / "ray_optics_asl5040_uv_zemax_zmx.zmx"))
     assert "of real rays 0.64994" in data
     height = np.linspace(0.5, 22.8, 30)
     start = np.stack([0.0 * height, height, 0.0 * height - 1.0])

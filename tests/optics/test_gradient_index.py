@@ -18,6 +18,7 @@ from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.shapes.shapes import Conic, ZernikeDeformation
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
@@ -324,8 +325,8 @@ def test_total_reflection_at_the_rear_face(trace):
 
 
 def test_the_table_of_a_system_says_where_the_index_varies():
-    assert "The index varies behind front" in system(selfoc(N0, G), 20.0, gap=5.0).info()
-    assert "varies" not in system(glass("N-BK7"), 20.0, (Conic(50.0), PLANE), 60.0).info()
+    assert "The index varies behind front" in info(system(selfoc(N0, G), 20.0, gap=5.0))
+    assert "varies" not in info(system(glass("N-BK7"), 20.0, (Conic(50.0), PLANE), 60.0))
 
 
 @pytest.mark.parametrize(
@@ -359,10 +360,10 @@ def test_an_image_inside_a_gradient_is_refused():
 def test_a_medium_that_throws_all_light_away_is_refused(strength):
     steep = system(GradientIndex("x", constant(1.6), (strength,)), 20.0)
     with pytest.raises(UserError, match=r"x rises so steeply off the axis .* 20 mm of it throw light exp\("):
-        steep.info()
+        info(steep)
 
 
 @pytest.mark.parametrize("medium", [luneburg(1e-300), selfoc(1.6, 1e200), selfoc(1e200, 0.05)])
 def test_numbers_beyond_a_float_are_refused(medium):
     with pytest.raises(UserError, match="not finite"):
-        system(medium, 20.0).info()
+        info(system(medium, 20.0))

@@ -15,6 +15,7 @@ from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.shapes.grid_cover import require_cover
 from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.shapes.shapes import Conic, GridSag, Opening
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.systems.system import OpticalSystem, Pupil
 from wavequake.workflows.run import run
@@ -70,8 +71,8 @@ def test_a_system_without_grids_needs_none():
 
 
 def test_info_says_what_is_not_covered():
-    assert "grid of heights of 'M1' reaches to x = 4 and y = 10 mm" in mirror((4.0, 10.0)).info()
-    assert "grid of heights" not in mirror((10.0, 10.0)).info()
+    assert "grid of heights of 'M1' reaches to x = 4 and y = 10 mm" in info(mirror((4.0, 10.0)))
+    assert "grid of heights" not in info(mirror((10.0, 10.0)))
 
 
 def test_beyond_a_grid_the_heights_of_its_edge_go_on():

@@ -13,6 +13,7 @@ from wavequake.kernels.trace.status import NO_ORDER, OK
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.shapes.phases import Diffraction, PerfectLens, axis_effect, phase_of
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import Break, SurfaceRow, rest_states, sequential
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, Pupil
@@ -208,7 +209,7 @@ def test_two_perfect_lenses_make_a_perfect_telescope_camera():
         assert found.rms_raw[0] < 2e-6
         assert found.spot_rms[0] < 1e-10
         np.testing.assert_allclose(found.chief[0], focal * np.tan(system.fields[field]), rtol=0, atol=1e-9)
-    assert "perfect lens of f = 100 mm" in system.info()
+    assert "perfect lens of f = 100 mm" in info(system)
 
 
 def test_a_moved_perfect_lens_moves_the_image_alone():
@@ -253,7 +254,7 @@ def test_the_axis_follows_a_grating(order):
     )
     assert found.rms_raw[0] < 1e-6
     np.testing.assert_allclose(found.chief[0], 0.0, rtol=0, atol=1e-9)
-    assert f"grating of 300 / mm, order {order:g}" in system.info()
+    assert f"grating of 300 / mm, order {order:g}" in info(system)
     steep = replace(
         system, surfaces=(replace(system.surfaces[0], phase=Diffraction(order, 3000.0)), *system.surfaces[1:])
     )

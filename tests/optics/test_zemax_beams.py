@@ -15,6 +15,7 @@ from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.field_light import field_light, inside_ellipse
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.zemax.read import parse_zmx
@@ -93,7 +94,7 @@ def test_vignetting_factors_stop_what_lies_outside_of_their_ellipse():
     assert np.mean(~aimed.lost) == pytest.approx(0.7 * 0.6, abs=0.01)
     assert set(aimed.status[aimed.lost]) == {VIGNETTED}
     assert set(aimed.surface[aimed.lost]) == {system.stop}
-    assert "Vignetting factors leave of the stop, in % by field: 100, 42." in system.info()
+    assert "Vignetting factors leave of the stop, in % by field: 100, 42." in info(system)
     # Points that the factors make of the pupil's rim, as the format defines them.
     u = 0.999 * np.exp(1j * np.linspace(0, 2 * np.pi, 50))
     made = ((0.1 + 0.7 * u.real) + 1j * (-0.2 + 0.6 * u.imag)) * np.exp(1j * np.deg2rad(30))
@@ -147,7 +148,7 @@ def test_properties_that_are_not_understood_are_named_once():
     text = lens("FTYP 0").replace("  STOP", "  SSID 1\n  STOP") + "  SSID 2\n  TOLE 1\n"
     note = parse_zmx(text, "lens.zmx").note
     assert "properties that are not understood and were left aside: SSID (line 14), TOLE (line 19)." in note
-    assert system.info().count("SSID") == 1
+    assert info(system).count("SSID") == 1
 
 
 def test_operands_behind_the_surfaces_are_no_header():

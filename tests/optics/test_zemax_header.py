@@ -6,6 +6,7 @@ import pytest
 
 from wavequake import load_study
 from wavequake.errors import UserError
+from wavequake.optics.systems.info import info
 from wavequake.optics.zemax.read import parse_zmx, read_zmx
 from wavequake.workflows.run import notices
 
@@ -79,7 +80,7 @@ def test_what_is_not_understood_is_named():
 def test_info_and_run_print_what_is_not_understood(tmp_path):
     path = tmp_path / "odd.zmx"
     path.write_text("WARP 9\n" + COOKE.read_text())
-    assert "WARP (line 1)" in read_zmx(path).info()
+    assert "WARP (line 1)" in info(read_zmx(path))
     study = tmp_path / "study.toml"
     text = """
 [study]

@@ -9,6 +9,7 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.optics.systems.axis_ray import follow_axis
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.zemax.read import parse_zmx
 
@@ -127,7 +128,7 @@ def test_a_ray_that_cannot_leave_a_prism_is_named():
     with pytest.raises(
         UserError, match="the axis ray of lens is totally reflected at surface 4; turn the surface"
     ):
-        parsed("STOP; DISZ 9", "GLAS N-SF6; DISZ 5", a_break(0, 0, 0, 50), "DISZ 9").info()
+        info(parsed("STOP; DISZ 9", "GLAS N-SF6; DISZ 5", a_break(0, 0, 0, 50), "DISZ 9"))
 
 
 def test_planes_on_the_object_are_its_own():
@@ -140,4 +141,4 @@ def test_planes_on_the_object_are_its_own():
     assert [surface.name for surface in system.surfaces] == ["surface 2", "surface 3", "surface 4"]
     assert (system.stop, plain.stop) == (0, 0)
     with pytest.raises(UserError, match="the distance must be positive"):
-        parsed("CURV 0.01; DISZ 75", *lens, distance="0", header=header).info()
+        info(parsed("CURV 0.01; DISZ 75", *lens, distance="0", header=header))

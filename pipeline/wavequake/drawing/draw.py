@@ -22,6 +22,7 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.systems.file import build
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.zemax.read import read_zmx
 from wavequake.workflows.overrides import split_overrides
@@ -143,7 +144,7 @@ def described_study(what: str, overrides: Iterable[str] = ()) -> str | None:
         return None
     if seen.models:
         return "\n".join(map(_words_of, seen.models))
-    return _system(seen).info()
+    return info(_system(seen))
 
 
 def _words_of(model: Model) -> str:

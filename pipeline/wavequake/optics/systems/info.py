@@ -29,13 +29,19 @@ _FIRST_DARK_RING = 3.8317059702075123 / np.pi  # first zero of J1: 1.22 waveleng
 
 
 def info(system: OpticalSystem) -> str:
-    """Return first-order data at the primary wavelength, fields, wavelengths and the surfaces.
+    """Return first-order data at the primary wavelength, fields, wavelengths and surfaces, as plain text.
 
     Raises
     ------
     UserError
         As `wavequake.optics.systems.paraxial.paraxial`, and as `wavequake.optics.rays.packing.pack` for any
         wavelength: what could not be traced is not described either.
+
+    Examples
+    --------
+    >>> from wavequake.optics.catalog.names import optical_system
+    >>> print(info(optical_system("euv")).splitlines()[0])
+    euv
     """
     data = paraxial(system)
     for wavelength in system.wavelengths:

@@ -89,7 +89,7 @@ class OpticalSystem:
     medium : Medium
         Before the first surface.
     note : str
-        Which of its numbers are assumed or approximate, in a sentence; `info` shows it.
+        Which of its numbers are assumed or approximate, in a sentence; `wavequake.info` shows it.
     vignetting : tuple of 5 float for each field, or empty
         Which part of the stop the light of each field fills, seen from the object, for lack of the
         apertures that stop the rest: x and y of its center, one minus its half widths (all in units of the
@@ -116,12 +116,6 @@ class OpticalSystem:
             counted(len(self.wavelengths), "wavelength"),
         )
         return f"<OpticalSystem {self.name}: {', '.join(parts)}>"
-
-    def info(self) -> str:
-        """Return a table of first-order data, fields, wavelengths and surfaces as plain text."""
-        from wavequake.optics.systems.info import info  # it builds on this module
-
-        return info(self)
 
 
 def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> float:

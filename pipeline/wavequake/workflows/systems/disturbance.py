@@ -28,6 +28,7 @@ from wavequake.mechanics.disturbances.element_motion import (
 from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.words import counted
 from wavequake.workflows.bodies.plants import standing
@@ -229,7 +230,7 @@ def describe(bench: SystemBench) -> dict[str, str]:
         **lines,
         **standing(bench.plants),
         **{f"nodes of {name}": one.words for name, one in bench.layout.moved.items()},
-        "system": system.info(),
+        "system": info(system),
     }
 
 

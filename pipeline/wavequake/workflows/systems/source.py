@@ -15,6 +15,7 @@ from wavequake.optics.media.agf import read_agf
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.systems.file import build
+from wavequake.optics.systems.info import info
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.zemax.codev import read_seq
 from wavequake.optics.zemax.lens_file import LensFileError
@@ -101,7 +102,7 @@ def load_system(
 
 
 def described(source: str, overrides: Iterable[str], catalogue: Path | None = None) -> str:
-    """Return what `OpticalSystem.info` says of a system, with the glasses of the user's `catalogue`.
+    """Return what `wavequake.info` says of a system, with the glasses of the user's `catalogue`.
 
     Raises
     ------
@@ -109,7 +110,7 @@ def described(source: str, overrides: Iterable[str], catalogue: Path | None = No
         As `load_system`; of a lens file that cannot be traced it shows what could be read.
     """
     try:
-        return load_system(source, overrides, read_agf(catalogue) if catalogue else None).info()
+        return info(load_system(source, overrides, read_agf(catalogue) if catalogue else None))
     except LensFileError as error:
         held = f"{error.details}\n\nWhat the file holds, in its own unit:\n{error.read}"
         raise UserError(error, held.lstrip("\n")) from None
