@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from wavequake.viewer.animate import animate
     from wavequake.viewer.view import view
     from wavequake.workflows.migrate import migrate
-    from wavequake.workflows.run import plan
+    from wavequake.workflows.planning.plan import plan
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.study import load_study
     from wavequake.workflows.systems.source import load_system
@@ -108,7 +108,7 @@ _HOMES = {
     "margins": "wavequake.doors.studies",
     "migrate": "wavequake.workflows.migrate",
     "open_store": "wavequake.campaign.store.store",
-    "plan": "wavequake.workflows.run",
+    "plan": "wavequake.workflows.planning.plan",
     "plant": "wavequake.doors.models",
     "rare": "wavequake.doors.decisions",
     "reduce": "wavequake.reduction.reduce",

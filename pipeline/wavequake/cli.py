@@ -1,6 +1,7 @@
 """The command line; `wavequake --help` lists its commands."""
 
 import io
+import os
 import shlex
 import sys
 import time
@@ -43,7 +44,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-_PLAN_S = 7.0  # since the command began; what compiled code is doing then is waited for
+_PLAN_S = 6.0  # since the command began; what compiled code does is waited for a moment longer
 StudyArgument = Annotated[
     str,
     typer.Argument(
@@ -210,7 +211,7 @@ def plan(
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the estimate, however long.")] = False,
 ) -> None:
     """Show cases, chunks, memory and an estimate of the time, or soon what is known; stores nothing."""
-    from wavequake.workflows.run import plan as plan_study
+    from wavequake.workflows.planning.plan import planned
     from wavequake.workflows.study import load_study
 
     if accuracy is None and measure is not None:
@@ -220,10 +221,16 @@ def plan(
         from wavequake.report.answers.accuracy import accuracy_of, plan_accuracy
 
         wanted = accuracy_of(accuracy)
-    rest = max(1.0, _PLAN_S - (time.monotonic() - BEGUN))
-    print_pairs(plan_study(loaded, None if wait or wanted is not None else rest, store=store))
+    rest = max(0.5, _PLAN_S - (time.monotonic() - BEGUN))
+    print_pairs(planned(loaded, None if wait or wanted is not None else rest, store, _end_with))
     if wanted is not None:
         print_pairs(plan_accuracy(loaded, wanted, measure, [study, *(overrides or [])]))
+
+
+def _end_with(known: dict[str, str]) -> NoReturn:
+    print_pairs(known)
+    sys.stdout.flush()
+    os._exit(0)
 
 
 def studies() -> None:

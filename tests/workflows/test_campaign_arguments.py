@@ -12,8 +12,9 @@ from wavequake.campaign.engine.chunk_size import default_chunk
 from wavequake.campaign.store.store import read_manifest
 from wavequake.errors import UserError
 from wavequake.prepared import prepared, preparing
-from wavequake.workflows import run as campaign
-from wavequake.workflows.run import chunk_of, plan
+from wavequake.workflows.planning import plan as campaign
+from wavequake.workflows.planning.plan import plan
+from wavequake.workflows.run import chunk_of
 from wavequake.workflows.study import load_study
 
 SMALL = {

@@ -16,7 +16,7 @@ from wavequake.reduction.intermediate import intermediate
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.mirrors.imported_facts import facts, frequencies, hull_volume, total_mass
 from wavequake.workflows.mirrors.trace import template
-from wavequake.workflows.run import plan
+from wavequake.workflows.planning.plan import plan
 from wavequake.workflows.study import load_study
 
 DATA = Path(__file__).parents[1] / "data"

@@ -13,7 +13,8 @@ from wavequake.errors import UserError
 from wavequake.report.answers.comparison import compare
 from wavequake.report.campaign import export_store, report_store, summary_table
 from wavequake.report.exports.rerun import rerun_stored
-from wavequake.workflows.run import plan, run_study
+from wavequake.workflows.planning.plan import plan
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import study_with
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

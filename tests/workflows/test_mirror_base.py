@@ -13,7 +13,8 @@ from wavequake.mechanics.vibration.drive import Drive, Harmonic
 from wavequake.workflows.mirrors import trace as mirror_trace
 from wavequake.workflows.mirrors.base import driven
 from wavequake.workflows.mirrors.bench import bench_of, check_variants_of, variant_of
-from wavequake.workflows.run import plan, run_study
+from wavequake.workflows.planning.plan import plan
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

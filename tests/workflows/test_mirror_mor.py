@@ -19,7 +19,8 @@ from wavequake.reduction.reduce import reduce
 from wavequake.report.answers.comparison import compare
 from wavequake.workflows.mirrors.bench import bench_of, build_model
 from wavequake.workflows.mirrors.mor import compute, exposures
-from wavequake.workflows.run import plan, run_study
+from wavequake.workflows.planning.plan import plan
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -23,7 +23,8 @@ from wavequake.workflows.mirrors.bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirrors.optics import displacements_mm
 from wavequake.workflows.mirrors.residual import coordinates_of
 from wavequake.workflows.mirrors.trace import MODAL, STAGES, STANDARD, compute, standard_method
-from wavequake.workflows.run import plan, run_study
+from wavequake.workflows.planning.plan import plan
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -23,7 +23,8 @@ from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
 from wavequake.workflows.budgets.systems import experiment, variants
-from wavequake.workflows.run import notices, plan, run, run_study
+from wavequake.workflows.planning.plan import plan
+from wavequake.workflows.run import notices, run, run_study
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.systems import measure as system_measure
 from wavequake.workflows.systems.bench import deformable, system_bench

@@ -4,19 +4,24 @@ import dataclasses
 import json
 import re
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 
-import wavequake.workflows.run as campaign
+import wavequake.workflows.planning.plan as campaign
 from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.store import JOURNAL, MANIFEST
 from wavequake.files import folder
+from wavequake.kernels.device.devices import choose_device
 from wavequake.words import lasting
-from wavequake.workflows.known_times import FILE
-from wavequake.workflows.run import plan, run
+from wavequake.workflows.planning import known_times
+from wavequake.workflows.planning.known_times import FILE, bundled_times
+from wavequake.workflows.planning.plan import plan
+from wavequake.workflows.planning.time_limit import OutOfTimeError, time_limit
+from wavequake.workflows.run import run
 from wavequake.workflows.study import bundled_studies, load_study
-from wavequake.workflows.time_limit import OutOfTimeError, time_limit
 
 
 def doze(*arguments):
@@ -30,21 +35,26 @@ def doze(*arguments):
 
 
 def dozing():
-    yield {"cases": "many"}
+    yield {"cases": "many", "device": "one"}
     doze()
 
 
 @pytest.mark.parametrize(
     ("slow", "known", "why"),
     [
+        ("device", ["study", "cases"], "the device is tested"),
         ("check", ["study", "cases", "device"], "what all cases share is prepared"),
         ("compute", ["study", "cases", "device", "store"], "a case of the pilot runs"),
     ],
 )
 def test_a_plan_answers_in_time(monkeypatch, slow, known, why):
     study = load_study("tmt18-history", {"campaign.cases": 60, "study.seed": 9})
-    kind = dataclasses.replace(campaign.kind_of(study), **{slow: doze})
-    monkeypatch.setattr(campaign, "kind_of", lambda study: kind)
+    if slow == "device":
+        monkeypatch.setattr(campaign, "choose_device", doze)
+    else:
+        kind = dataclasses.replace(campaign.kind_of(study), **{slow: doze})
+        monkeypatch.setattr(campaign, "kind_of", lambda study: kind)
+        choose_device("auto")  # tested once in a process
     start = time.monotonic()
     answer = plan(study, seconds=2.0)
     assert time.monotonic() - start < 10.0
@@ -63,7 +73,7 @@ def test_a_plan_that_is_not_done_tells_what_the_study_took_before(monkeypatch, t
     (record,) = read_journal(kept / JOURNAL).records.values()
     spent = (record.timings["compute_s"] + record.timings["write_s"]) / 3
 
-    monkeypatch.setattr(campaign, "_planned", lambda study, device: dozing())
+    monkeypatch.setattr(campaign, "_planned", lambda study: dozing())
     again = plan(load_study("tmt18-history", {**few, "campaign.cases": 300}), seconds=0.5, store=kept)
     assert again["estimate"].startswith(f"{lasting(300 * spent)} of one process, as 3 cases of {kept} took; ")
     other = plan(load_study("tmt18-history", {**few, "study.seed": 8}), seconds=0.5, store=kept)
@@ -78,16 +88,50 @@ def test_a_plan_that_is_not_done_tells_what_the_study_took_before(monkeypatch, t
 
 def test_a_plan_answers_beside_a_store_that_cannot_be_read(monkeypatch, tmp_path):
     (tmp_path / MANIFEST).write_text('{"schema": 0}')
-    monkeypatch.setattr(campaign, "_planned", lambda study, device: dozing())
+    monkeypatch.setattr(campaign, "_planned", lambda study: dozing())
     answer = plan("tmt18-history", seconds=0.5, store=tmp_path)
     assert "of one process after " in answer["estimate"]
 
 
-def test_studies_whose_pilot_takes_long_were_measured():
+def test_every_bundled_study_was_measured_as_it_is_now():
+    """Else `python -m benchmarks.bundled_times` has to be called."""
     measured = json.loads((folder("workflows") / FILE).read_text())["studies"]
-    assert set(measured) <= set(bundled_studies())
-    assert {"controller-mor", "double-gauss", "mirror-mor", "tmt-ao", "tmt-m1-control"} <= set(measured)
-    assert all(set_up > 0.0 and each > 0.0 for set_up, each in measured.values())
+    now = {name: load_study(name).identity() for name in bundled_studies()}
+    assert {name: of for name, (_, _, of) in measured.items()} == now
+    assert all(set_up > 0.0 and each > 0.0 for set_up, each, _ in measured.values())
+
+
+def test_times_of_a_study_that_has_changed_are_not_told(monkeypatch):
+    assert bundled_times("tmt18-history").each > 0.0
+    monkeypatch.setattr(known_times, "load_study", lambda name: load_study(name, {"study.seed": 11}))
+    assert bundled_times("tmt18-history") is None
+
+
+def test_code_that_cannot_be_interrupted_is_left_to_the_last_word():
+    """As a kernel that is built: an alarm is seen after it; the last word ends the process meanwhile."""
+    code = (
+        "import os, time\n"
+        "from wavequake.workflows.planning.time_limit import time_limit\n"
+        "end = lambda: os.write(1, b'known') and os._exit(7)\n"
+        "with time_limit(0.2, end):\n"
+        "    while True:\n"
+        "        try:\n"
+        "            time.sleep(60)\n"
+        "        except BaseException:\n"
+        "            pass\n"
+    )
+    start = time.monotonic()
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=50, check=False)
+    assert (ended.returncode, ended.stdout) == (7, b"known")
+    assert time.monotonic() - start < 40.0
+
+
+def test_a_last_word_is_not_said_by_who_ends_in_time():
+    said = []
+    with time_limit(0.2, lambda: said.append("too late")):
+        pass
+    time.sleep(1.2)
+    assert said == []
 
 
 def test_a_limit_leaves_nothing_behind():

@@ -1,17 +1,14 @@
-"""Run and plan a study: the few calls behind ``wavequake run`` and ``wavequake.run``."""
+"""Run a study: the few calls behind ``wavequake run`` and ``wavequake.run``."""
 
 import multiprocessing
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from wavequake.campaign.contract import StudyKind
-from wavequake.campaign.engine.chunk_size import default_chunk, stored_bytes
+from wavequake.campaign.engine.chunk_size import default_chunk
 from wavequake.campaign.engine.driver import CampaignSummary, begin_workers, finished, run_campaign
 from wavequake.campaign.engine.driver_lock import Shard, shard_of
 from wavequake.campaign.engine.scripts import script_hidden
@@ -20,28 +17,18 @@ from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met
 from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import MANIFEST, open_store, read_manifest
 from wavequake.errors import NoWorkersError, UserError
-from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.threads import available_cpus
-from wavequake.posix import peak_memory_mb
-from wavequake.prepared import one_thread, preparation_seconds
 from wavequake.registry import own_modules
-from wavequake.words import counted, lasting
+from wavequake.words import counted
 from wavequake.workflows.early_notices import early_notices
 from wavequake.workflows.kinds import compared_labels, find_kind
-from wavequake.workflows.known_times import bundled_times, known_times
 from wavequake.workflows.study import chosen_study
-from wavequake.workflows.time_limit import OutOfTimeError, time_limit
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Progress = Callable[[int, int, int], None]
-
-_PILOT_S = 0.05  # a pilot that is shorter says little: it is repeated with more cases
-_LONG_S = 2.5  # a pilot of more cases than one takes no longer
-# Engine and store shall take at most 2 % of a chunk; but a chunk is what a crash may cost, and the least that
-# a worker takes on.
-_CHUNK_S = (2.0, 10.0)
 
 
 def kind_of(study: Study) -> StudyKind:
@@ -247,127 +234,7 @@ def _why_serial(study: Study, path: Path, workers: int | None) -> str | None:
     return None
 
 
-def plan(
-    study: str | Path | Study,
-    seconds: float | None = None,
-    *,
-    cases: int | None = None,
-    store: str | Path | None = None,
-    **overrides: Any,
-) -> dict[str, str]:
-    """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored.
-
-    Parameters
-    ----------
-    study : str, Path or Study
-    seconds : float, optional
-        Say after this time what is known by then; the estimate is then what an earlier run of the study took,
-        or a bundled study where it was measured, or what is left unknown. What is prepared and kept on disk
-        is there the next time.
-    cases, store, **overrides
-        As of `run`, which says what it raises.
-
-    Examples
-    --------
-    >>> plan("tmt-segments")["cases"]  # doctest: +SKIP
-    '1000 in 50 chunks of 20'
-    """
-    study = chosen_study(study, overrides, cases)
-    device = choose_device(study.campaign.device)
-    known = {"note": "", "study": f"{study.study.name} ({study.identity()[:12]})", "cases": f"{study.cases}"}
-    known["device"] = f"{device.name} ({device.kind})"
-    begun = time.perf_counter()
-    try:
-        with time_limit(seconds):
-            for more in _planned(study, device):
-                known |= more
-    except OutOfTimeError:
-        still = "a case of the pilot runs" if "store" in known else "what all cases share is prepared"
-        late = (
-            f"{still} still after {lasting(time.perf_counter() - begun)}; --wait (Python: no seconds) waits"
-        )
-        before = known_times(study, study.folder(store))
-        known["estimate"] = f"{before.words(study.cases)}; {late}" if before else _without_times(study, late)
-    return {name: words for name, words in known.items() if words}
-
-
-def _without_times(study: Study, late: str) -> str:
-    """Return what is known of the time of a study that nobody has run, with why no more is."""
-    like = bundled_times(study.study.name)
-    words = f"; as it is bundled, {study.study.name} takes {like.words(study.cases)}" if like else ""
-    return f"not known: {late}{words}"
-
-
-def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
-    """Yield what a plan says, as soon as it is known."""
-    workflow, text, cases = kind_of(study), study.identity_text(), study.cases
-    yield {"note": "\n".join(early_notices(study))}
-    workflow.check(text)
-    template = stored_template(workflow, text)
-    chunk = chunk_of(study)
-    if study.campaign.until is not None:
-        goal_of(study.campaign.until, template)  # says what is wrong with it
-    per_case = stored_bytes(template)
-    yield {
-        "note": "\n".join(notices(study)),
-        "cases": f"{cases} in {counted(-(-cases // chunk), 'chunk')} of {min(cases, chunk)}",
-        "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
-    }
-    yield workflow.describe(text)
-
-    def fly(pilot: int) -> None:
-        ids = np.arange(cases - pilot, cases)  # the first ones may be special
-        try:
-            with one_thread():
-                workflow.compute(text, ids, device.name)
-        except UserError:
-            raise
-        except Exception as error:
-            more = f"cases of the pilot, {ids[0]} to {ids[-1]}, fail"
-            which = f"case of the pilot, {ids[0]}, fails" if pilot == 1 else more
-            raise UserError(f"The {which}: {type(error).__name__}: {error}.") from error
-
-    each, pilot = _time_case(fly, min(cases, chunk))
-    yield {
-        "memory": f"{peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
-        "one case": f"{lasting(each)} in one process (pilot of {counted(pilot, 'case')}, after set-up)",
-        "one chunk": _chunk_advice(cases, chunk, each),
-        "estimate": f"{lasting(cases * each)} of one process",
-    }
-
-
-def _time_case(fly: Callable[[int], None], whole: int) -> tuple[float, int]:
-    """Return how long a case takes, s, without what is prepared once, and of how many cases that is the mean.
-
-    `fly` computes so many cases; `whole` are a chunk. One case that takes long is the whole pilot.
-    """
-
-    def each_of(pilot: int) -> float:
-        start, prepared = time.perf_counter(), preparation_seconds()
-        fly(pilot)
-        return (time.perf_counter() - start - (preparation_seconds() - prepared)) / pilot
-
-    pilot, each = 1, each_of(1)
-    while pilot < whole and 2 * each < _LONG_S:
-        if pilot > 1 and each * pilot > _PILOT_S and each * whole > _LONG_S:
-            break
-        pilot = whole if each * whole < _LONG_S else min(whole, 8 * pilot, int(_LONG_S / each))
-        each = each_of(pilot)
-    return each, pilot
-
-
 def notices(study: Study) -> Iterator[str]:
     """Yield what the user should read before a run, such as size, mass and doubtful units of a model."""
     yield from early_notices(study)
     yield from kind_of(study).notices(study.identity_text())
-
-
-def _chunk_advice(cases: int, chunk: int, each: float) -> str:
-    """Say how long a chunk takes, and if that is unsuitable, which number of cases would do."""
-    least, most = _CHUNK_S
-    words = f"{each * min(chunk, cases):.3g} s"
-    if chunk > 1 and each * chunk > most:
-        return f"{words}; a crash costs less with store.chunk_cases={max(1, int(most / each))}"
-    if chunk < cases and each * chunk < least and each * cases > 10 * least:
-        return f"{words}; the store takes a smaller share with store.chunk_cases={round(least / each)}"
-    return words

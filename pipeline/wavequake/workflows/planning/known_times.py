@@ -37,12 +37,12 @@ def known_times(study: Study, store: Path) -> Times | None:
 
 
 def bundled_times(name: str) -> Times | None:
-    """Return what a bundled study takes as it stands, by the file beside it."""
+    """Return what a bundled study takes as it stands, by the file beside it; None if that is of another."""
     path = folder("workflows") / FILE
     known = json.loads(path.read_text(encoding="utf-8"))
-    if name not in known["studies"]:
+    set_up, each, of = known["studies"].get(name, (0.0, 0.0, ""))
+    if not of or load_study(name).identity() != of:
         return None
-    set_up, each = known["studies"][name]
     return Times(set_up, each, f"measured on {known['processor']}")
 
 
