@@ -146,7 +146,8 @@ def test_two_lines_one_percent_apart_come_back_as_often_as_their_intervals_say()
     error = away.std(axis=0, ddof=1) / np.sqrt(count)
     assert (np.abs(away.mean(axis=0)) < 3.3 * error).all(), away.mean(axis=0)
     assert (error * np.sqrt(count) < 0.08).all(), error  # what noise and the other line add to 0.18
-    held = np.sum(held, axis=0)
+    first, held = np.sum(held[:200], axis=0), np.sum(held, axis=0)
+    print(f"of the first {min(count, 200)}:", *first.ravel(), f"; of {count}:", *held.ravel())
     assert (held >= binom.ppf(0.001, count, 0.95)).all(), held
     assert 0.875 * 8 * count <= held.sum() <= 0.99 * 8 * count, held  # those of a record are not independent
     if count == 400:
