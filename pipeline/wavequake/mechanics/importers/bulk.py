@@ -42,13 +42,16 @@ class Card(NamedTuple):
 class Deck(NamedTuple):
     """Nodes and elements of a deck.
 
-    ``turned`` are the numbers of nodes whose displacements stand in axes of their own.
+    ``turned`` are the numbers of nodes whose displacements stand in axes of their own, ``numbers`` those of
+    the elements of each kind; sets of elements are those of a property, by its number.
     """
 
     labels: Integers
     points: Array
     cells: dict[str, Integers]
     turned: Integers
+    numbers: dict[str, Integers]
+    element_sets: dict[str, Integers]
 
 
 def cards(path: Path) -> Iterator[Card]:
@@ -154,6 +157,8 @@ def read_bulk(path: Path) -> Deck:
     labels, places, frames, turned = [], [], [], []
     axes: dict[str, Card] = {}
     cells: dict[str, list[list[int]]] = {}
+    own: dict[str, list[int]] = {}
+    properties: dict[str, list[int]] = {}
     standard = Card("GRDSET", [""] * _FIELDS, 0)
     grids, elements = [], []
     for short in cards(path):
@@ -184,11 +189,17 @@ def read_bulk(path: Path) -> Deck:
         kind, order = _shape(card, where)
         nodes = [_whole(card.fields[2 + place], where) for place in order]
         cells.setdefault(kind, []).append(nodes)
+        own.setdefault(kind, []).append(_whole(card.fields[0], where))
+        properties.setdefault(card.fields[1] or card.fields[0], []).append(own[kind][-1])
     return Deck(
         np.array(labels, dtype=np.int64),
         points,
         {kind: np.array(nodes, dtype=np.int64) for kind, nodes in cells.items()},
         np.array(turned, dtype=np.int64),
+        *(
+            {name: np.array(one, dtype=np.int64) for name, one in given.items()}
+            for given in (own, properties)
+        ),
     )
 
 

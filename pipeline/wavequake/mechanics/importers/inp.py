@@ -4,6 +4,7 @@ meshio reads these decks too but renumbers the nodes, and matrices are labeled b
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,8 +37,19 @@ KINDS = {
 }
 
 
-def read_deck(path: Path) -> tuple[Integers, Array, dict[str, Integers], dict[str, Integers]]:
-    """Return node numbers, coordinates, node sets (numbers) and connectivity (numbers) by kind of element.
+class Read(NamedTuple):
+    """Node numbers, coordinates, node sets, and the nodes and numbers of elements by kind, element sets."""
+
+    labels: Integers
+    points: Array
+    sets: dict[str, Integers]
+    cells: dict[str, Integers]
+    numbers: dict[str, Integers]
+    element_sets: dict[str, Integers]
+
+
+def read_deck(path: Path) -> Read:
+    """Return what a deck holds.
 
     Raises
     ------
@@ -49,6 +61,8 @@ def read_deck(path: Path) -> tuple[Integers, Array, dict[str, Integers], dict[st
     sets: dict[str, list[Integers]] = {}
     cells: dict[str, list[Integers]] = {}
     members: dict[str, list[Integers]] = {}
+    own: dict[str, list[Integers]] = {}
+    element_sets: dict[str, list[Integers]] = {}
     for keyword, options, data, line in _blocks(path):
         if keyword == "NODE" and data:
             table = _padded(data, path.name, line)
@@ -59,9 +73,16 @@ def read_deck(path: Path) -> tuple[Integers, Array, dict[str, Integers], dict[st
         elif keyword == "ELEMENT":
             name, count = _kind(options.get("TYPE", ""))
             if count:
-                nodes = _elements(data, count, path.name, line)
-                cells.setdefault(name, []).append(nodes)
-                members.setdefault(options.get("ELSET", ""), []).append(np.unique(nodes))
+                read = _elements(data, count, path.name, line)
+                own.setdefault(name, []).append(read[:, 0])
+                cells.setdefault(name, []).append(read[:, 1:])
+                members.setdefault(options.get("ELSET", ""), []).append(np.unique(read[:, 1:]))
+                element_sets.setdefault(options.get("ELSET", ""), []).append(read[:, 0])
+        elif keyword == "ELSET":  # of elements that are not read, too: they are left out
+            names = [word for word in data.replace(b",", b" ").split() if not word.isdigit()]
+            if "GENERATE" in options or all(name.decode().upper() in element_sets for name in names):
+                found = _set(data, options, element_sets, (path.name, line))
+                element_sets.setdefault(options.get("ELSET", ""), []).append(found)
         elif keyword == "NSET":
             found = _set(data, options, sets, (path.name, line))
             sets.setdefault(options.get("NSET", ""), []).append(found)
@@ -70,11 +91,11 @@ def read_deck(path: Path) -> tuple[Integers, Array, dict[str, Integers], dict[st
     for name, parts in members.items():  # an element set names its nodes too, unless a node set has the name
         if name and name not in sets:
             sets[name] = parts
-    return (
+    return Read(
         np.concatenate(labels),
         np.concatenate(points),
         {name: _unique(np.concatenate(parts)) for name, parts in sets.items()},
-        {name: np.concatenate(parts) for name, parts in cells.items()},
+        *({name: np.concatenate(parts) for name, parts in one.items()} for one in (cells, own, element_sets)),
     )
 
 
@@ -118,10 +139,10 @@ def _padded(data: bytes, source: str, line: int) -> Array:
 
 
 def _elements(data: bytes, count: int, source: str, line: int) -> Integers:
-    """Return the node numbers of elements, one a row; an element may go over several lines."""
+    """Return numbers and nodes of elements, one a row; an element may go over several lines."""
     try:
         words = np.array(data.replace(b",", b" ").split(), dtype=np.bytes_).astype(np.int64)
-        return words.reshape(-1, count + 1)[:, 1:]
+        return words.reshape(-1, count + 1)
     except ValueError as error:
         raise UserError(
             f"{source}, line {line}: elements of {count} nodes expected ({error}); the file may be cut off"

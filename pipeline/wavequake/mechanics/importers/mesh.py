@@ -3,13 +3,14 @@
 import difflib
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.bulk import read_bulk
@@ -37,6 +38,10 @@ class MeshFile:
         Node numbers of the elements, by meshio's names of their kinds.
     turned : ndarray of int
         Numbers of nodes whose displacements stand in axes of their own.
+    numbers : mapping of str to ndarray of int, shape (M,)
+        Numbers of the elements of each kind.
+    element_sets : mapping of str to ndarray of int
+        Numbers of the elements of each named set, or of a property by its number (Nastran).
     """
 
     source: str
@@ -45,6 +50,8 @@ class MeshFile:
     sets: Mapping[str, Integers] = field(default_factory=dict)
     cells: Mapping[str, Integers] = field(default_factory=dict)
     turned: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    numbers: Mapping[str, Integers] = field(default_factory=dict)
+    element_sets: Mapping[str, Integers] = field(default_factory=dict)
 
     @property
     def expanded(self) -> Integers:
@@ -66,7 +73,7 @@ def read_mesh(path: Path) -> MeshFile:
     suffix = path.suffix.lower()
     if suffix in BULK:
         deck = read_bulk(path)
-        mesh = MeshFile(path.name, deck.labels, deck.points, cells=deck.cells, turned=deck.turned)
+        mesh = MeshFile(path.name, deck.labels, deck.points, {}, *deck[2:])
     else:
         mesh = _from_deck(path) if suffix == ".inp" else _through_meshio(path)
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
@@ -79,7 +86,8 @@ def read_mesh(path: Path) -> MeshFile:
 
 def _from_deck(path: Path) -> MeshFile:
     try:
-        return MeshFile(path.name, *read_deck(path))
+        deck = read_deck(path)
+        return MeshFile(path.name, *deck[:4], numbers=deck.numbers, element_sets=deck.element_sets)
     except RecursionError:
         raise UserError(f"{path.name} includes itself") from None
     except (ValueError, OverflowError, IndexError, MemoryError) as error:
@@ -117,23 +125,49 @@ def _from_meshio(path: Path, mesh: Any) -> MeshFile:
     for name, nodes in _nodes_of_cell_sets(mesh).items():
         sets.setdefault(name, labels[nodes])
     joined = {name: np.concatenate(parts) for name, parts in cells.items() if name != "vertex"}
-    return MeshFile(path.name, labels, points, sets, joined)
+    first = np.cumsum([1, *(len(block.data) for block in mesh.cells)])
+    own: dict[str, list[Integers]] = {}
+    for block, start in zip(mesh.cells, first[:-1], strict=True):
+        own.setdefault(block.type, []).append(np.arange(start, start + len(block.data)))
+    return MeshFile(
+        path.name,
+        labels,
+        points,
+        sets,
+        joined,
+        numbers={name: np.concatenate(parts) for name, parts in own.items()},
+        element_sets=_cell_sets(mesh, first),
+    )
+
+
+def _cell_sets(mesh: Any, first: Integers) -> dict[str, Integers]:
+    """Return the numbers of the elements of named sets; those of a block begin with one of `first`."""
+    found: dict[str, list[Integers]] = {}
+    for name, block, chosen in _chosen(mesh):
+        found.setdefault(name, []).append(first[block] + chosen)
+    return {name: np.concatenate(parts) for name, parts in found.items()}
 
 
 def _nodes_of_cell_sets(mesh: Any) -> dict[str, Integers]:
-    """Return the nodes (from 0) of the named sets of elements, e.g. the physical groups of gmsh."""
+    """Return the nodes (from 0) of the named sets of elements."""
     found: dict[str, list[Integers]] = {}
+    for name, block, chosen in _chosen(mesh):
+        found.setdefault(name, []).append(mesh.cells[block].data[chosen].ravel())
+    return {name: np.unique(np.concatenate(parts)).astype(np.int64) for name, parts in found.items()}
+
+
+def _chosen(mesh: Any) -> Iterator[tuple[str, int, Integers]]:
+    """Yield sets of elements, e.g. the physical groups of gmsh: name, block, which of the block."""
     for name, by_block in mesh.cell_sets.items():
-        for block, chosen in zip(mesh.cells, by_block, strict=True):
+        for block, chosen in enumerate(by_block):
             if chosen is not None and len(chosen) and not name.startswith("gmsh:"):
-                found.setdefault(name, []).append(block.data[np.asarray(chosen, dtype=np.int64)].ravel())
+                yield name, block, np.asarray(chosen, dtype=np.int64)
     tags = mesh.cell_data.get("gmsh:physical", [])
     for name, (tag, dimension) in ((n, (int(v[0]), int(v[1]))) for n, v in mesh.field_data.items()):
-        for block, physical in zip(mesh.cells, tags, strict=False):
+        for number, (block, physical) in enumerate(zip(mesh.cells, tags, strict=False)):
             chosen = np.flatnonzero(np.asarray(physical) == tag)
             if block.dim == dimension and len(chosen):
-                found.setdefault(name, []).append(block.data[chosen].ravel())
-    return {name: np.unique(np.concatenate(parts)).astype(np.int64) for name, parts in found.items()}
+                yield name, number, chosen
 
 
 def positions(mesh: MeshFile, labels: Integers, what: str) -> Integers:
@@ -180,8 +214,28 @@ def chosen_nodes(mesh: MeshFile, choice: str | Sequence[int | str], what: str) -
     return positions(mesh, labels[np.sort(first)], what)
 
 
-def _unknown(mesh: MeshFile, name: str, what: str) -> str:
-    near = difflib.get_close_matches(name.upper(), [known.upper() for known in mesh.sets], n=1, cutoff=0.4)
-    names = ", ".join(sorted(mesh.sets)) or "none"
+def chosen_elements(mesh: MeshFile, choice: Sequence[str | int], what: str) -> dict[str, NDArray[np.bool_]]:
+    """Return which elements of each kind are of sets, by name, or of properties, by number.
+
+    Raises
+    ------
+    UserError
+        For an unknown set (with the nearest name).
+    """
+    by_name = {name.upper(): numbers for name, numbers in mesh.element_sets.items() if name}
+    names = [str(one).upper() for one in choice]
+    for name in names:
+        if name not in by_name:
+            raise UserError(_unknown(mesh, name, what, "element set", by_name))
+    wanted = np.concatenate([by_name[name] for name in names])
+    return {kind: np.isin(numbers, wanted) for kind, numbers in mesh.numbers.items()}
+
+
+def _unknown(
+    mesh: MeshFile, name: str, what: str, kind: str = "node set", known: Collection[str] | None = None
+) -> str:
+    known = mesh.sets if known is None else known
+    near = difflib.get_close_matches(name.upper(), [one.upper() for one in known], n=1, cutoff=0.4)
+    names = ", ".join(sorted(known)) or "none"
     hint = f", did you mean {near[0]}?" if near else f"; it has: {names}"
-    return f"{mesh.source} has no node set {name!r} ({what}){hint}"
+    return f"{mesh.source} has no {kind} {name!r} ({what}){hint}"

@@ -1,11 +1,12 @@
 """From temperatures of the nodes of a body to their displacements: linear thermal expansion, SI units.
 
-The body is of one isotropic material and nothing strains it from outside: its supports are kinematic, as
-those of mirrors are. Young's modulus then cancels. Stiffness times displacements is the load of the
-expansion, the integral of B^T D alpha (T - T0) (Zienkiewicz and Taylor, The Finite Element Method, ch. 2).
+Nothing strains the body from outside: its supports are kinematic, as those of mirrors are. Of one isotropic
+material, Young's modulus cancels; of several, their ratios count. Stiffness times displacements is the load
+of the expansion, the integral of B^T D alpha (T - T0) (Zienkiewicz and Taylor, The Finite Element Method,
+ch. 2).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,19 @@ _LOOSE = 1e-13
 
 
 @dataclass(frozen=True)
+class Material:
+    """Coefficient of expansion (1/K), Poisson's ratio, Young's modulus and density.
+
+    The last two count by their ratios, in any unit.
+    """
+
+    expansion: float
+    poisson: float = 0.33
+    modulus: float = 1.0
+    density: float = 1.0
+
+
+@dataclass(frozen=True)
 class Solid:
     """A body of solid elements.
 
@@ -33,11 +47,14 @@ class Solid:
         m.
     cells : mapping of str to ndarray of int, shape (e, k)
         Nodes, from 0, of the elements of each kind of `wavequake.mechanics.nodal.solids.KINDS`.
+    layers : mapping of str to ndarray of int, shape (e,)
+        Which material each is of, from 0; without it all are of the first.
     """
 
     source: str
     points: Array
     cells: Mapping[str, Integers]
+    layers: Mapping[str, Integers] | None = None
 
     @property
     def nodes(self) -> Integers:
@@ -46,7 +63,7 @@ class Solid:
 
 
 def expanded(
-    body: Solid, warmer: Array, expansion: float, poisson: float, held: Integers | None = None
+    body: Solid, warmer: Array, materials: Sequence[Material], held: Integers | None = None
 ) -> Array:
     """Return the displacements of nodes of a body whose temperature changes, shape (n, N, 3), m.
 
@@ -56,8 +73,8 @@ def expanded(
         Nodes of no element do not move.
     warmer : ndarray, shape (n, N)
         Temperatures less that at which the body has its shape, K.
-    expansion, poisson : float
-        Coefficient of expansion, 1/K, and Poisson's ratio.
+    materials : sequence of Material
+        As ``body.layers`` counts them.
     held : ndarray of int, optional
         Nodes whose mean rigid motion is none: kinematic supports. Without them the body floats: neither its
         center of mass moves nor does it turn in the mean.
@@ -67,15 +84,17 @@ def expanded(
     UserError
         If an element is folded, the body is in several pieces, or `held` do not hold it.
     """
-    parts = [_integrated(body, kind, elements) for kind, elements in body.cells.items()]
+    parts = list(_parts(body, materials))
+    stiffest = max(material.modulus for material, _ in parts)
     size, nodes = body.points.size, body.nodes
     stiffness = csc_array((size, size))
     loads = np.zeros((len(body.points), 3, len(warmer)))
-    for part in parts:
-        stiffness = stiffness + _stiffness(part, poisson, size)
+    for material, part in parts:
+        modulus = material.modulus / stiffest
+        stiffness = stiffness + modulus * _stiffness(part, material.poisson, size)
         at_points = np.einsum("gk,nek->neg", part.values, warmer[:, part.elements], optimize=True)
         # D alpha dT in all three directions is 3 lambda + 2 mu = E / (1 - 2 nu) times the free strain.
-        strained = expansion / (1.0 - 2.0 * poisson) * at_points * part.volumes
+        strained = modulus * material.expansion / (1.0 - 2.0 * material.poisson) * at_points * part.volumes
         forces = np.einsum("neg,egkx->ekxn", strained, part.gradients, optimize=True)
         np.add.at(loads, part.elements, forces)
     rigid = rigid_modes(body.points, body.points[nodes].mean(axis=0))
@@ -92,6 +111,14 @@ def expanded(
     moved[free] = factors.solve(np.ascontiguousarray(loads.reshape(size, -1)[free]))
     moved[moving] -= rigid[moving] @ _rigid_part(body, parts, rigid, moved, held)
     return np.ascontiguousarray(moved.T).reshape(len(warmer), -1, 3)
+
+
+def _parts(body: Solid, materials: Sequence[Material]) -> Iterator[tuple[Material, Integrated]]:
+    """Yield the elements of each kind and material."""
+    for kind, elements in body.cells.items():
+        layer = np.zeros(len(elements), dtype=np.int64) if body.layers is None else body.layers[kind]
+        for number in np.unique(layer):
+            yield materials[number], _integrated(body, kind, elements[layer == number])
 
 
 def _integrated(body: Solid, kind: str, elements: Integers) -> Integrated:
@@ -125,7 +152,11 @@ def _six(rigid: Array) -> Integers:
 
 
 def _rigid_part(
-    body: Solid, parts: list[Integrated], rigid: Array, moved: Array, held: Integers | None
+    body: Solid,
+    parts: list[tuple[Material, Integrated]],
+    rigid: Array,
+    moved: Array,
+    held: Integers | None,
 ) -> Array:
     """Return the rigid motion (6, n) of displacements (3 N, n): of what is held, or of the whole mass."""
     if held is not None:
@@ -140,12 +171,14 @@ def _rigid_part(
     return np.asarray(np.linalg.solve(square, seen))
 
 
-def _momenta(parts: list[Integrated], rigid: Array, moved: Array) -> Iterator[tuple[Array, Array]]:
+def _momenta(
+    parts: list[tuple[Material, Integrated]], rigid: Array, moved: Array
+) -> Iterator[tuple[Array, Array]]:
     """Yield what each kind of elements adds to the momenta of rigid motions and of displacements."""
     modes, steps = rigid.reshape(-1, 3, 6), moved.reshape(-1, 3, moved.shape[1])
-    for part in parts:
+    for material, part in parts:
         shapes = np.einsum("gk,ekxr->egxr", part.values, modes[part.elements], optimize=True)
-        weighted = shapes * part.volumes[..., None, None]
+        weighted = material.density * shapes * part.volumes[..., None, None]
         motion = np.einsum("gk,ekxn->egxn", part.values, steps[part.elements], optimize=True)
         yield (
             np.einsum("egxr,egxs->rs", weighted, shapes, optimize=True),
