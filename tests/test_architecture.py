@@ -39,7 +39,9 @@ ALLOWED = {
     "viewer": BASE | PHYSICS | {"campaign", "chain", "drawing", "kernels", "report", "workflows"},
     "notebook": BASE | {"drawing", "optics"},
     "plot": BASE | {"drawing"},
-    "doors": BASE | PHYSICS | {"campaign", "notebook", "report", "workflows"},
+    "doors": BASE
+    | PHYSICS
+    | {"campaign", "drawing", "firmware", "kernels", "notebook", "report", "workflows"},
     "terminal": {"words"},
     "commands": BASE
     | {"campaign", "control", "drawing", "firmware", "kernels", "optics", "report", "viewer", "workflows"}

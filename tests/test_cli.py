@@ -127,6 +127,7 @@ def test_damage_is_named_and_mended(wavequake, tiny, done):
     store = done
     wq.run(tiny, cases=8, store=store, on="serial")
     before = wq.open_store(store)["zernike"].values
+    assert wavequake("verify", store)[0] == 0
     shard = next(
         path
         for path in sorted((store / "data.zarr" / "zernike").rglob("*"))

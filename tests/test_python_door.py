@@ -4,24 +4,55 @@ import doctest
 import inspect
 import io
 import json
+import shutil
 import subprocess
 import sys
 from contextlib import redirect_stderr
 
 import numpy as np
 import pytest
+import typer
 import xarray as xr
 
 import wavequake as wq
 from wavequake import cli, notebook, plot
 from wavequake.doors import models, studies
+from wavequake.doors import stores as store_doors
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.optics.zemax import export
+from wavequake.report.answers.rare import rare_answer
 from wavequake.workflows import study, zernike_arrays
 from wavequake.workflows.systems import source as system_source
 
-# Commands that act on a terminal or another machine, or that Python says by other names.
-OTHERS = {"devices", "firmware", "new", "retry", "rerun", "status"}
+# Commands that Python says by another name: a module has the first one, others are two words.
+NAMES = {
+    "errors": "store_errors",
+    "firmware build": "build_firmware",
+    "firmware flash": "flash_firmware",
+    "firmware test": "try_firmware",
+}
+# Options by what does the same in Python, where it is no argument of the same name.
+OPTIONS = {
+    "overrides": "keys of the study as keywords, or as `load_study` takes them",
+    "debug": "Python shows tracebacks",
+    "allow files": "output",
+    "budget plan": "wq.plan_budget",
+    "compare of": "wq.agreement",
+    "compare stores": "first, others",
+    "compare table": "wq.agreement gives the table",
+    "draw file": "wq.write_drawing",
+    "identify files": "output",
+    "info figure": "wq.write_drawing",
+    "info system": "what",
+    "plan accuracy": "wq.plan_accuracy",
+    "plan measure": "wq.plan_accuracy",
+    "plan wait": "seconds",
+    "report animate": "wq.animate",
+    "report by": "wq.rank",
+    "report controller": "wq.animate",
+    "report format": "wq.animate",
+    "run profile": "wq.profile",
+}
 
 STUDY = """
 [study]
@@ -55,16 +86,43 @@ def stores(tmp_path_factory):
     return found
 
 
+def commands(group, before=""):
+    """Yield the name of every command and its parameters."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, f"{before}{name} ")
+        else:
+            yield f"{before}{name}", [one.name for one in command.params if one.name != "help"]
+
+
+COMMANDS = dict(commands(typer.main.get_command(cli.app)))
+
+
 def test_every_command_has_a_function_and_every_function_says_what_it_does():
-    named = {command.name or command.callback.__name__ for command in cli.app.registered_commands}
-    named = {"store_errors" if name == "errors" else name for name in named}  # wavequake.errors is a module
-    assert named - OTHERS <= set(wq.__all__)
+    assert {NAMES.get(name, name) for name in COMMANDS} <= set(wq.__all__)
     for name in wq.__all__:
         thing = getattr(wq, name)
         assert inspect.getdoc(thing), name
         assert name in dir(wq)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         wq.nothing  # noqa: B018
+
+
+def test_every_option_of_a_command_is_one_of_its_function():
+    lacking, asked = set(), set()
+    for name, options in COMMANDS.items():
+        found = getattr(wq, NAMES.get(name, name))
+        taken = set(inspect.signature(studies.report if name == "report" else found).parameters)
+        if name == "rare":  # what it passes on
+            taken |= set(inspect.signature(rare_answer).parameters)
+        lacking |= {f"{name} {one}" for one in options if one not in taken}
+        asked |= {one for one in options if one not in taken}
+    assert {one for one in lacking if one.rpartition(" ")[2] not in OPTIONS} == {
+        one for one in OPTIONS if " " in one
+    }
+    assert {"overrides", "debug"} <= asked
+    for said in OPTIONS.values():
+        assert not said.startswith("wq.") or hasattr(wq, said.split()[0].removeprefix("wq.")), said
 
 
 def test_a_plan_takes_cases_and_keys_as_a_run_does(tmp_path):
@@ -93,7 +151,7 @@ def test_every_function_has_an_example():
 
 @pytest.mark.parametrize(
     "module",
-    [models, plot, studies, zernike_arrays, study, system_source, export],
+    [models, plot, studies, store_doors, zernike_arrays, study, system_source, export],
     ids=lambda module: module.__name__,
 )
 def test_examples_give_what_they_print(module):
@@ -130,6 +188,59 @@ def test_stores_are_compared_judged_exported_and_verified(stores, tmp_path):
         wq.compare(one)
     with pytest.raises(UserError, match="cases"):
         wq.tail(one)
+
+
+def test_a_store_is_watched_ranked_and_passed_on(stores, tmp_path):
+    one = shutil.copytree(stores[0], tmp_path / "one")
+    found = wq.status(one)
+    assert (found.counts[1], found.quarantined, found.chunks_done) == (6, 0, 2)
+    assert "6 cases in 2 chunks of 4; 2 are done" in repr(found)
+    assert (wq.retry(one).chunks, wq.retry(one, "crashed").quarantined) == (0, 0)
+    again = wq.rerun(one, 4, tmp_path / "four.nc")
+    assert (again.differing, again.status) == ((), 1)
+    assert xr.open_dataset(tmp_path / "four.nc")["wfe_rms_raw"].shape == (2,)
+    (row,) = wq.rank(one, "wfe_rms_raw").to_dict("records")
+    each = np.sqrt((wq.open_store(one)["wfe_rms_raw"].to_numpy() ** 2).mean(axis=1))
+    assert (row["median"], row["worst"]) == pytest.approx((np.median(each), each.max()))
+    assert wq.profile(one)["all chunks"].endswith(" s CPU")
+    wq.compare(*stores, figure=tmp_path / "both.svg")
+    assert "<svg" in (tmp_path / "both.svg").read_text()
+    with pytest.raises(UserError, match="say --case ID"):
+        wq.export(one, tmp_path / "one.zmx")
+    with pytest.raises(UserError, match="no status of a failed case"):
+        wq.retry(one, "done")
+
+
+def test_a_report_goes_elsewhere_and_leaves_its_store_alone(stores, tmp_path, wavequake):
+    one = shutil.copytree(stores[0], tmp_path / "one")
+    (one / "report.html").unlink(missing_ok=True)
+    before = {path: path.stat().st_mtime_ns for path in one.rglob("*")}
+    file = wq.report(one, tmp_path / "elsewhere.html")
+    code, said, _ = wavequake("report", one, "-o", tmp_path / "again.html")
+    assert (code, "again.html" in said) == (0, True)
+    assert file.read_text() == (tmp_path / "again.html").read_text()
+    assert {path: path.stat().st_mtime_ns for path in one.rglob("*")} == before
+    with pytest.raises(UserError, match="cannot be written"):
+        wq.report(one, tmp_path / "again.html" / "report.html")
+
+
+def test_studies_are_begun_and_boards_get_their_gains(tmp_path):
+    assert wq.load_study(wq.new("euv", tmp_path / "own.toml")).study.workflow == "system-disturbance"
+    assert wq.info("euv") == wq.info(wq.load_system("euv"))
+    assert wq.devices()["kind"].iloc[-1] == "numpy"
+    (header,) = wq.build_firmware(to=tmp_path, boards=())
+    assert "WQ_SAMPLE_TIME_US" in header.read_text()
+    with pytest.raises(UserError, match="boards uno"):
+        wq.flash_firmware("uno", to=tmp_path)
+    with pytest.raises(UserError, match="made from one of lens-experiment"):
+        wq.try_firmware("euv", tmp_path)
+
+
+def test_drawings_are_written_as_their_names_say(tmp_path):
+    assert "<svg" in wq.write_drawing("euv", tmp_path / "euv.svg").read_text()
+    assert "<script" in wq.write_drawing("euv", tmp_path / "euv.html", solid=True).read_text()
+    with pytest.raises(UserError, match="is no picture"):
+        wq.write_drawing("euv", tmp_path / "euv.doc")
 
 
 def test_a_tail_is_that_of_the_command(stores, monkeypatch):

@@ -19,8 +19,18 @@ if TYPE_CHECKING:
     from wavequake.campaign.schema import Study
     from wavequake.campaign.store.grid import unstack
     from wavequake.campaign.store.store import open_store
-    from wavequake.doors.decisions import allow, budget, rare, sharpen, store_errors
+    from wavequake.doors.decisions import (
+        allow,
+        budget,
+        plan_accuracy,
+        plan_budget,
+        rare,
+        sharpen,
+        store_errors,
+    )
+    from wavequake.doors.firmware import build_firmware, flash_firmware, try_firmware
     from wavequake.doors.models import load_model, loop, plant, respond
+    from wavequake.doors.stores import devices, info, new, profile, rank, rerun, retry, status
     from wavequake.doors.studies import (
         compare,
         export,
@@ -33,10 +43,10 @@ if TYPE_CHECKING:
     )
     from wavequake.doors.telemetry import agreement, identify
     from wavequake.drawing.draw import draw
-    from wavequake.optics.systems.info import info
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.reduction.reduce import reduce
     from wavequake.viewer.animate import animate
+    from wavequake.viewer.pictures import write_drawing
     from wavequake.viewer.view import view
     from wavequake.workflows.migrate import migrate
     from wavequake.workflows.planning.plan import plan
@@ -55,10 +65,13 @@ __all__ = [
     "allow",
     "animate",
     "budget",
+    "build_firmware",
     "compare",
     "convert_zernike",
+    "devices",
     "draw",
     "export",
+    "flash_firmware",
     "identify",
     "info",
     "load_model",
@@ -67,23 +80,33 @@ __all__ = [
     "loop",
     "margins",
     "migrate",
+    "new",
     "open_store",
     "plan",
+    "plan_accuracy",
+    "plan_budget",
     "plant",
     "plot",
+    "profile",
+    "rank",
     "rare",
     "reduce",
     "report",
+    "rerun",
     "respond",
+    "retry",
     "run",
     "sensitivity",
     "sharpen",
+    "status",
     "store_errors",
     "studies",
     "tail",
+    "try_firmware",
     "unstack",
     "verify",
     "view",
+    "write_drawing",
     "write_zmx",
 ]
 
@@ -95,33 +118,46 @@ _HOMES = {
     "allow": "wavequake.doors.decisions",
     "animate": "wavequake.viewer.animate",
     "budget": "wavequake.doors.decisions",
+    "build_firmware": "wavequake.doors.firmware",
     "compare": "wavequake.doors.studies",
     "convert_zernike": "wavequake.workflows.zernike_arrays",
+    "devices": "wavequake.doors.stores",
     "draw": "wavequake.drawing.draw",
     "export": "wavequake.doors.studies",
+    "flash_firmware": "wavequake.doors.firmware",
     "identify": "wavequake.doors.telemetry",
-    "info": "wavequake.optics.systems.info",
+    "info": "wavequake.doors.stores",
     "load_model": "wavequake.doors.models",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.source",
     "loop": "wavequake.doors.models",
     "margins": "wavequake.doors.studies",
     "migrate": "wavequake.workflows.migrate",
+    "new": "wavequake.doors.stores",
     "open_store": "wavequake.campaign.store.store",
     "plan": "wavequake.workflows.planning.plan",
+    "plan_accuracy": "wavequake.doors.decisions",
+    "plan_budget": "wavequake.doors.decisions",
     "plant": "wavequake.doors.models",
+    "profile": "wavequake.doors.stores",
+    "rank": "wavequake.doors.stores",
     "rare": "wavequake.doors.decisions",
     "reduce": "wavequake.reduction.reduce",
+    "rerun": "wavequake.doors.stores",
     "respond": "wavequake.doors.models",
+    "retry": "wavequake.doors.stores",
     "run": "wavequake.doors.studies",
     "sensitivity": "wavequake.workflows.sensitivity",
     "sharpen": "wavequake.doors.decisions",
+    "status": "wavequake.doors.stores",
     "store_errors": "wavequake.doors.decisions",
     "studies": "wavequake.doors.studies",
     "tail": "wavequake.doors.studies",
+    "try_firmware": "wavequake.doors.firmware",
     "unstack": "wavequake.campaign.store.grid",
     "verify": "wavequake.doors.studies",
     "view": "wavequake.viewer.view",
+    "write_drawing": "wavequake.viewer.pictures",
     "write_zmx": "wavequake.optics.zemax.export",
 }
 

@@ -95,6 +95,20 @@ def lasting(seconds: float) -> str:
     return f"{seconds * 1e3:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
 
 
+def sized(size: float) -> str:
+    """Return a number of bytes in the unit that suits it.
+
+    Examples
+    --------
+    >>> sized(34), sized(2940), sized(1.23e7), sized(4.1e12)
+    ('34 B', '2.9 kB', '12.3 MB', '4100.0 GB')
+    """
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= scale:
+            return f"{size / scale:.1f} {unit}"
+    return f"{size:.0f} B"
+
+
 def are(number: int, noun: str) -> str:
     """Return the same with a verb: 1 case is, 2 cases are."""
     return f"{counted(number, noun)} {'is' if number == 1 else 'are'}"

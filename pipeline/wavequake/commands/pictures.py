@@ -5,10 +5,7 @@ from typing import Annotated
 
 import typer
 
-from wavequake.errors import UserError
 from wavequake.terminal import frame_progress, out
-
-FORMATS = (".svg", ".png", ".pdf", ".html")
 
 
 def complete_study(beginning: str) -> list[str]:
@@ -88,24 +85,17 @@ def view(
     out.print(f"Written: {written} ({size:.1f} MB)", markup=False, soft_wrap=True)
 
 
-def animate(store: Path, case: int, of: str | None, kind: str) -> None:
+def animate(store: Path, case: int, of: str | None, kind: str, file: Path | None = None) -> None:
     """Write a moving picture of a case and say where."""
     from wavequake.viewer.animate import animate
 
     with frame_progress() as progress:
-        film = animate(store, case, of, kind, progress=progress)
+        film = animate(store, case, of, kind, progress=progress, file=file)
     out.print(f"Written: {film}", markup=False, soft_wrap=True)
 
 
 def _draw(what: str, overrides: list[str] | None, file: Path, solid: bool) -> None:
-    if file.suffix.lower() not in FORMATS:
-        raise UserError(f"{file} is no picture; its name must end in {', '.join(FORMATS)}.")
-    if solid and file.suffix.lower() == ".html":
-        from wavequake.viewer.view import write_scene
+    from wavequake.viewer.pictures import write_drawing
 
-        written = write_scene(what, file, overrides or [])
-    else:
-        from wavequake.drawing.files import write_drawing
-
-        written = write_drawing(what, file, overrides or [], solid)
+    written = write_drawing(what, file, overrides or [], solid=solid)
     out.print(f"Written: {written}", markup=False, soft_wrap=True)

@@ -46,7 +46,7 @@ def status(store: StoreArgument) -> None:
 
 
 def verify(store: StoreArgument) -> None:
-    """Read every stored number again and compare it with the journal's digests (exit code 4 if damaged)."""
+    """Read every stored number again and compare it (exit code 4: damaged, or cases are still to do)."""
     from wavequake.campaign.store.verify import verify_store
 
     report = verify_store(store)
@@ -74,6 +74,10 @@ def report(
     by: Annotated[
         str | None, typer.Option(help="Rank disturbances by a stored number, as 'ee80' (and no report).")
     ] = None,
+    file: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="FILE.html (default: STORE/report.html), or of the animation."),
+    ] = None,
 ) -> None:
     """Print the table of a store and write its HTML report."""
     if by is not None:
@@ -82,9 +86,9 @@ def report(
     if animate is None and (controller or format):
         raise UserError("--controller and --format belong to an animation; say --animate CASE, too.")
     if animate is None:
-        write_report(store, fresh=True)
+        write_report(store, fresh=True, file=file)
         return
-    pictures.animate(store, animate, controller, format or "gif")
+    pictures.animate(store, animate, controller, format or "gif", file)
 
 
 def _rank(store: Path, by: str) -> None:
@@ -110,18 +114,10 @@ def export(
     instant: Annotated[int, typer.Option(help="Instant of that case, counted from 0.")] = 0,
 ) -> None:
     """Write a store to one NetCDF, FITS or CSV file, or one case to a lens file or displacements."""
-    if file.suffix.lower() in (".zmx", ".txt"):
-        from wavequake.report.exports.displacements import export_displacements
-        from wavequake.report.exports.lens_file import export_case
-
-        if case is None:
-            raise UserError(f"A {file.suffix} file holds one case of the store; say --case ID, too.")
-        write = export_case if file.suffix.lower() == ".zmx" else export_displacements
-        out.print(f"Written: {write(store, file, case, instant, overwrite)}", markup=False, soft_wrap=True)
-        return
     from wavequake.report.campaign import export_store
 
-    out.print(f"Written: {export_store(store, file, overwrite)}", markup=False, soft_wrap=True)
+    written = export_store(store, file, overwrite, case, instant)
+    out.print(f"Written: {', '.join(map(str, written))}", markup=False, soft_wrap=True)
 
 
 def retry(
@@ -176,7 +172,7 @@ def rerun(
         sys.exit(EXIT_DAMAGED)
 
 
-def write_report(store: Path, fresh: bool) -> None:
+def write_report(store: Path, fresh: bool, file: Path | None = None) -> None:
     """Print the table and the answer of a store, and write its report where that is older or asked for."""
     from wavequake.report.written import is_current, read_answer, read_table, report_path
 
@@ -184,7 +180,7 @@ def write_report(store: Path, fresh: bool) -> None:
     if fresh or not is_current(store):
         from wavequake.report.campaign import report_store
 
-        table, path = report_store(store)
+        table, path = report_store(store, file)
     elif (read := read_table(path)) is not None:
         table = read
     else:

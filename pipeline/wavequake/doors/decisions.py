@@ -74,6 +74,7 @@ def allow(
     by: str = "shares",
     of: str | None = None,
     cases: int = 400,
+    output: str | Path | None = None,
     **overrides: Any,
 ) -> "Allowances":
     """Say how far every segment may be off along every axis, so that the whole stays below a limit.
@@ -92,6 +93,8 @@ def allow(
         The disturbance, where there are several.
     cases : int
         That are drawn with these allowances and traced in full, as the check.
+    output : str or Path, optional
+        FILE.csv (every element and axis), FILE.svg, .png or .pdf.
     **overrides
         Further keys with double underscores for dots, e.g. ``telescope__name="tmt-18"``.
 
@@ -110,12 +113,17 @@ def allow(
     >>> found = allow("tmt-segments", of="alignment", limit="30 nm")  # doctest: +SKIP
     >>> print(found.check)                                           # doctest: +SKIP
     """
-    from wavequake.report.answers.allow import goal_of
+    from wavequake.report.answers.allow import goal_of, require_writable, write_allowances
     from wavequake.workflows.allow import allowances
 
+    if (file := _file(output)) is not None:
+        require_writable(file)
     name, probability, value = goal_of(measure, limit)
     with progress_bar() as progress:
-        return allowances(chosen_study(study, overrides), name, probability, value, by, of, cases, progress)
+        found = allowances(chosen_study(study, overrides), name, probability, value, by, of, cases, progress)
+    if file is not None:
+        write_allowances(found, file, measure)
+    return found
 
 
 def budget(
@@ -125,6 +133,9 @@ def budget(
     of: str | None = None,
     measure: str | None = None,
     store: str | Path | None = None,
+    on: str = "serial",
+    workers: int | None = None,
+    cluster: str | Path | None = None,
     **overrides: Any,
 ) -> "xr.Dataset":
     """Rank disturbances, and rings of segments or elements, by what they contribute.
@@ -141,6 +152,8 @@ def budget(
         A further number of cases by which to rank, as ``peak`` (of which the budget takes 1 - peak).
     store : str or Path, optional
         Folder that keeps the budget as ``budget.zarr``; by default that of the study's runs.
+    on, workers, cluster
+        As of `run`.
     **overrides
         Further keys with double underscores for dots, e.g. ``telescope__name="tmt-18"``.
 
@@ -154,15 +167,76 @@ def budget(
     >>> found = budget("tmt-segments", 16, telescope__name="tmt-18")  # doctest: +SKIP
     >>> found["share"].sel(quantity="wfe_rms_raw").to_series()        # doctest: +SKIP
     """
+    from wavequake.campaign.engine.pool import Place
     from wavequake.workflows.budgets.budget import stored_budget
 
-    loaded = chosen_study(study, overrides)
+    loaded, place = chosen_study(study, overrides), Place(on, workers, _file(cluster))
     with progress_bar() as progress:
-        return stored_budget(loaded, loaded.folder(store), cases, of, progress, measure=measure)[0]
+        return stored_budget(loaded, loaded.folder(store), cases, of, progress, place, measure)[0]
+
+
+def plan_budget(
+    study: str | Path | Study,
+    cases: int = 100,
+    *,
+    of: str | None = None,
+    measure: str | None = None,
+    **overrides: Any,
+) -> dict[str, str]:
+    """Describe what a budget would take: factors, groups, traces and their time; nothing is stored.
+
+    Parameters
+    ----------
+    study, cases, of, measure, **overrides
+        As of `budget`, which says what it raises.
+
+    Examples
+    --------
+    >>> plan_budget("tmt-segments", 16, telescope__name="tmt-18")  # doctest: +SKIP
+    """
+    from wavequake.workflows.budgets.budget import plan_budget as planned
+
+    return planned(chosen_study(study, overrides), cases, of, measure)
+
+
+def plan_accuracy(
+    study: str | Path | Study, accuracy: float | str, measure: str | None = None, **overrides: Any
+) -> dict[str, str]:
+    """Say what rays, terms, orders and cases a study takes for an accuracy: `plan --accuracy`.
+
+    Parameters
+    ----------
+    study : str, Path or Study
+    accuracy : float or str
+        As ``"1 %"``, of every origin of error.
+    measure : str, optional
+        What shall be as accurate, by default ``wfe_rms``.
+    **overrides
+        Further keys with double underscores for dots.
+
+    Raises
+    ------
+    UserError
+        If the accuracy is no share, there is no such measure, or cases of the pilot fail.
+
+    Examples
+    --------
+    >>> plan_accuracy("tmt-segments", "1 %")["proposal"]  # doctest: +SKIP
+    """
+    from wavequake.report.answers.accuracy import accuracy_of
+    from wavequake.report.answers.accuracy import plan_accuracy as planned
+
+    share = accuracy_of(accuracy if isinstance(accuracy, str) else repr(accuracy))
+    return planned(chosen_study(study, overrides), share, measure)
 
 
 def store_errors(
-    store: str | Path, cases: int = 8, *, on: str = "serial", workers: int | None = None
+    store: str | Path,
+    cases: int = 8,
+    *,
+    on: str = "serial",
+    workers: int | None = None,
+    cluster: str | Path | None = None,
 ) -> "xr.Dataset":
     """Measure the error of every number of a store by refining a sample of its cases: `wavequake errors`.
 
@@ -171,7 +245,7 @@ def store_errors(
     store : str or Path
     cases : int
         Of each population, that are computed again.
-    on, workers
+    on, workers, cluster
         As of `run`.
 
     Returns
@@ -192,7 +266,7 @@ def store_errors(
     from wavequake.report.answers.errors import store_errors as measured
 
     with progress_bar() as progress:
-        return measured(Path(store), cases, Place(on, workers), progress)
+        return measured(Path(store), cases, Place(on, workers, _file(cluster)), progress)
 
 
 def sharpen(store: str | Path, cases: int = 20_000) -> "pd.DataFrame":
@@ -244,3 +318,7 @@ def sharpen(store: str | Path, cases: int = 20_000) -> "pd.DataFrame":
             for name, one in row.found.items()
         ]
     )
+
+
+def _file(name: str | Path | None) -> Path | None:
+    return None if name is None else Path(name)

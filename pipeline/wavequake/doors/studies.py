@@ -39,13 +39,19 @@ def studies() -> dict[str, str]:
     return {name: load_study(name).study.title for name in bundled_studies()}
 
 
-def report(store: str | Path) -> Path:
-    """Write the HTML report of a store into its folder and return the file.
+def report(store: str | Path, file: str | Path | None = None) -> Path:
+    """Write the HTML report of a store and return the file.
+
+    Parameters
+    ----------
+    store : str or Path
+    file : str or Path, optional
+        By default ``STORE/report.html``; elsewhere, of a store that cannot be written.
 
     Raises
     ------
     UserError
-        If there is no store.
+        If there is no store, or the file cannot be written.
     StoreDamageError
         If its numbers cannot be read.
 
@@ -55,19 +61,20 @@ def report(store: str | Path) -> Path:
     """
     from wavequake.report.campaign import report_store
 
-    return report_store(Path(store))[1]
+    return report_store(Path(store), None if file is None else Path(file))[1]
 
 
-def compare(first: str | Path, *others: str | Path) -> "pd.DataFrame":
+def compare(first: str | Path, *others: str | Path, figure: str | Path | None = None) -> "pd.DataFrame":
     """Compare stores with the first one, case by case, and return a row per store, group and measure.
 
     Cases of equal labels are paired: the same draws. ``mean`` is the mean difference, ``margin`` half its
-    95 % confidence interval, ``relative`` the mean of the cases' relative differences.
+    95 % confidence interval, ``relative`` the mean of the cases' relative differences. `figure` is a file
+    (.png, .svg, .pdf) to draw them into. `agreement` compares with telemetry.
 
     Raises
     ------
     UserError
-        If a store is missing, or two have nothing in common.
+        If a store is missing, two have nothing in common, or the figure cannot be written.
 
     Examples
     --------
@@ -77,9 +84,12 @@ def compare(first: str | Path, *others: str | Path) -> "pd.DataFrame":
 
     from wavequake.campaign.store.store import open_store
     from wavequake.report.answers.comparison import compare as differences
+    from wavequake.report.answers.comparison import compare_stores
 
     if not others:
         raise UserError("compare needs at least two stores.")
+    if figure is not None:
+        compare_stores([Path(first), *map(Path, others)], Path(figure))
     reference, rows = open_store(first), []
     for other in others:
         for one in differences(reference, open_store(other), str(first), str(other)):
@@ -159,21 +169,31 @@ def tail(
     return pd.DataFrame(rows)
 
 
-def export(store: str | Path, file: str | Path, *, overwrite: bool = False) -> Path:
-    """Write a store to one file for other programs and return its path.
+def export(
+    store: str | Path,
+    file: str | Path,
+    *,
+    overwrite: bool = False,
+    case: int | None = None,
+    instant: int = 0,
+) -> Path:
+    """Write a store, or one of its cases, to a file for other programs and return its path (the first).
 
     Parameters
     ----------
     store : str or Path
     file : str or Path
-        ``.nc`` or ``.fits`` (every array), or ``.csv`` (one row per case).
+        ``.nc`` or ``.fits`` (every array), ``.csv`` (one row per case); of one case ``.zmx`` (its lens file)
+        or ``.txt`` (displacements, a file for each surface).
     overwrite : bool
         Replace the file.
+    case, instant : int
+        Of ``.zmx`` and ``.txt``; the instant is counted from 0.
 
     Raises
     ------
     UserError
-        If there is no store, or the file exists or is of another kind.
+        If there is no store or case, or the file exists or is of another kind.
 
     Examples
     --------
@@ -181,7 +201,7 @@ def export(store: str | Path, file: str | Path, *, overwrite: bool = False) -> P
     """
     from wavequake.report.campaign import export_store
 
-    return export_store(Path(store), Path(file), overwrite)
+    return export_store(Path(store), Path(file), overwrite, case, instant)[0]
 
 
 def margins(study: str | Path, **overrides: Any) -> "pd.DataFrame":

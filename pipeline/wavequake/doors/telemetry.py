@@ -21,7 +21,8 @@ def identify(data: str | Path, study: str | Path | Study, output: str | Path | N
     study : str, Path or Study
         What was measured, of the workflow system-disturbance or segment-disturbance.
     output : str or Path, optional
-        A new ``.toml`` file: the study (given by name or path) with sources that do what was measured.
+        FILE.toml: the study (given by name or path) with sources that do what was measured; FILE.html: what
+        was found as a page; FILE.svg, .png or .pdf: its spectra.
 
     Returns
     -------
@@ -39,19 +40,28 @@ def identify(data: str | Path, study: str | Path | Study, output: str | Path | N
     >>> [(line.frequency_hz, line.damping) for line in found.lines]    # doctest: +SKIP
     """
     from wavequake.errors import UserError
-    from wavequake.report.answers.identify import require_outputs
+    from wavequake.report.answers.identify import require_outputs, spectra_figure, write_figure
+    from wavequake.report.answers.identify_page import write_identified
     from wavequake.workflows.identify.identify import identified_file
     from wavequake.workflows.identify.study_text import study_text
     from wavequake.workflows.study import load_study
 
-    if output is not None:
-        require_outputs([Path(output)])
-        if isinstance(study, Study) or Path(output).suffix.lower() != ".toml":
+    file = None if output is None else Path(output)
+    kind = "" if file is None else file.suffix.lower()
+    if file is not None:
+        require_outputs([file])
+        if isinstance(study, Study) and kind == ".toml":
             raise UserError("A study is written to a .toml file, from the name or path of a study.")
-    found = identified_file(data, study if isinstance(study, Study) else load_study(study))
-    if output is not None:
-        text = study_text(found, str(study), Path(data).name, Path(output).absolute().parent)
-        Path(output).write_text(text, encoding="utf-8")
+    loaded = study if isinstance(study, Study) else load_study(study)
+    found = identified_file(data, loaded)
+    if file is not None and kind == ".toml":
+        text = study_text(found, str(study), Path(data).name, file.absolute().parent)
+        file.write_text(text, encoding="utf-8")
+    elif file is not None and kind == ".html":
+        write_identified(found, loaded, Path(data), file)
+    elif file is not None:
+        words = f"{Path(data).name}: what was measured, and what was found"
+        write_figure(spectra_figure(found, words), file)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Write the HTML report of a store into its folder and return the file.
+"""Write the HTML report of a store, into its folder or a file, and return the file.
 
 The package of reports (tables for the terminal, figures, HTML pages, exports) can be called, as
 `wavequake.doors.studies.report`, since its name is that of a function for users.
@@ -17,10 +17,10 @@ from types import ModuleType
 class _Report(ModuleType):
     """The package, which can be called."""
 
-    def __call__(self, store: str | Path) -> Path:
+    def __call__(self, store: str | Path, file: str | Path | None = None) -> Path:
         from wavequake.report.campaign import report_store
 
-        return report_store(Path(store))[1]
+        return report_store(Path(store), None if file is None else Path(file))[1]
 
 
 sys.modules[__name__].__class__ = _Report

@@ -76,13 +76,14 @@ def summary_table(store: Path) -> Table:
         return table
 
 
-def report_store(store: Path) -> tuple[Table, Path]:
-    """Write the HTML report of a store and return its table and the file.
+def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
+    """Write the HTML report of a store, by default into its folder, and return its table and the file.
 
     Raises
     ------
     UserError
-        If there is no store at `store`, or one of another version that lacks numbers of this one.
+        If there is no store at `store`, or one of another version that lacks numbers of this one; if the file
+        cannot be written.
     StoreDamageError
         If its numbers cannot be read; names the first array that is damaged.
     """
@@ -96,15 +97,30 @@ def report_store(store: Path) -> tuple[Table, Path]:
 
         dataset.encoding[KNOWN_ERRORS] = lambda page: page_with_errors(store, page)
     with _damage_named(store):
-        path = report.write_report_of(store, dataset, report_path(store), device_at_hand(manifest))
+        path = report.write_report_of(store, dataset, target or report_path(store), device_at_hand(manifest))
         table = report.table_of(store, dataset)
     with suppress(OSError), path.open("ab") as file:  # without it, the report is written again
         file.write(as_comment(table) + shows)
     return table, path
 
 
-def export_store(store: Path, path: Path, overwrite: bool = False) -> Path:
-    """Export a store to a .nc or .csv file; raises as :func:`report_store` and :func:`export`."""
+def export_store(
+    store: Path, path: Path, overwrite: bool = False, case: int | None = None, instant: int = 0
+) -> tuple[Path, ...]:
+    """Export a store to one file, or one case to a lens file (.zmx) or displacements (.txt, several files).
+
+    Raises as :func:`report_store` and what writes such a file; UserError, too, if no case is said of which a
+    lens file or displacements are made.
+    """
+    if path.suffix.lower() in (".zmx", ".txt"):
+        from wavequake.report.exports.displacements import export_displacements
+        from wavequake.report.exports.lens_file import export_case
+
+        if case is None:
+            raise UserError(f"A {path.suffix} file holds one case of the store; say --case ID, too.")
+        if path.suffix.lower() == ".zmx":
+            return (export_case(store, path, case, instant, overwrite),)
+        return export_displacements(store, path, case, instant, overwrite)
     dataset, target = open_store(store), target_of(path, overwrite)
     with _damage_named(store):
-        return export(dataset, target, overwrite)
+        return (export(dataset, target, overwrite),)

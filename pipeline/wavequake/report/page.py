@@ -235,4 +235,7 @@ def _write_whole(target: Path, text: str) -> None:
     except OSError as error:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-        raise UserError(f"The report {target} cannot be written: {error.strerror or error}.") from None
+        words = (
+            f"The page {target} cannot be written: {error.strerror or error}; -o FILE writes it elsewhere."
+        )
+        raise UserError(words) from None

@@ -40,8 +40,9 @@ def animate(
     kind: str = "gif",
     tell: Tell = silent,
     progress: Callable[[int, int], None] | None = None,
+    file: str | Path | None = None,
 ) -> Path:
-    """Write a moving picture of one case into its store's folder and return where it is.
+    """Write a moving picture of one case, by default into its store's folder, and return where it is.
 
     The case is computed anew, as for the viewer; at most 60 instants are drawn.
 
@@ -56,6 +57,8 @@ def animate(
         Format; the program ffmpeg writes MP4.
     tell, progress : callable, optional
         Called with a line when a case is computed, and with frames drawn and their number.
+    file : str or Path, optional
+        Whose name ends in the format.
 
     Raises
     ------
@@ -75,7 +78,8 @@ def animate(
     names = [take.of for take in film.takes]
     first = next((name for name in names if not name.startswith("mode ")), names[0])
     take = film.takes[names.index(_named(first if of is None else of, names, "take"))]
-    path = Path(store) / f"{'-'.join(['case', str(case), *take.of.split()])}.{kind}"
+    name = f"{'-'.join(['case', str(case), *take.of.split()])}.{kind}"
+    path = Path(store) / name if file is None else Path(file)
     unfinished = path.with_name(f".{path.name}.part")
     try:
         with rc_context(STYLE):

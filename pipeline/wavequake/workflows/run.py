@@ -11,6 +11,7 @@ from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.engine.chunk_size import default_chunk
 from wavequake.campaign.engine.driver import CampaignSummary, begin_workers, finished, run_campaign
 from wavequake.campaign.engine.driver_lock import Shard, shard_of
+from wavequake.campaign.engine.plan import share_of
 from wavequake.campaign.engine.scripts import script_hidden
 from wavequake.campaign.schema import Study
 from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met, looks, quantiles_of
@@ -149,6 +150,9 @@ def run(
     allow_mixed: bool = False,
     shard: str | None = None,
     cluster: str | Path | None = None,
+    repair: bool = False,
+    recheck: float | str = 0.0,
+    dashboard: Callable[[str], None] | None = None,
     progress: Progress | None = None,
     **overrides: Any,
 ) -> "xr.Dataset":
@@ -176,6 +180,12 @@ def run(
         ``"i/n"``, from ``"0/n"``: compute every n-th chunk only, while n - 1 others compute the rest.
     cluster : str or Path, optional
         A cluster file (``docs/clusters.md``) for ``slurm``, ``ssh`` and ``tls://``.
+    repair : bool
+        Read all results first and compute damaged chunks again.
+    recheck : float or str
+        Compute this share of the chunks again elsewhere, such as ``"1%"``; one of other numbers is an error.
+    dashboard : callable, optional
+        Serve Dask's dashboard on this machine and call this with its link.
     progress : callable, optional
         Called with the numbers of cases that are done, wanted and quarantined.
     **overrides
@@ -198,24 +208,32 @@ def run(
     loaded = chosen_study(study, overrides, cases)
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
-    if part is None and finished_study(loaded, path) is not None:
+    share = share_of(recheck) if isinstance(recheck, str) else recheck
+    if part is None and not repair and not share and finished_study(loaded, path) is not None:
         return open_store(path)
-    file = None if cluster is None else Path(cluster)
-    how = {"shard": part, "cluster": file, "allow_mixed": allow_mixed, "progress": progress}
+    how: dict[str, Any] = {
+        "shard": part,
+        "cluster": None if cluster is None else Path(cluster),
+        "allow_mixed": allow_mixed,
+        "repair": repair,
+        "recheck": share,
+        "dashboard": dashboard,
+        "progress": progress,
+    }
     if on is not None:
-        run_study(loaded, path, on=on, workers=workers, **how)  # type: ignore[arg-type]
+        run_study(loaded, path, on=on, workers=workers, **how)
         return open_store(path)
     why = _why_serial(loaded, path, workers)
     if why is None:
         try:
             with script_hidden():
-                run_study(loaded, path, on="local", workers=workers, **how)  # type: ignore[arg-type]
+                run_study(loaded, path, on="local", workers=workers, **how)
             return open_store(path)
         except NoWorkersError as error:
             why = str(error).partition(": ")[0]
     if why:
         print(f"Wavequake runs serially: {why.rstrip('.')}.", file=sys.stderr)
-    run_study(loaded, path, on="serial", **how)  # type: ignore[arg-type]
+    run_study(loaded, path, on="serial", **how)
     return open_store(path)
 
 

@@ -11,7 +11,7 @@ from wavequake.campaign.store.store import JOURNAL, Manifest, done_records, read
 from wavequake.words import counted
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StoreStatus:
     """How far a store is.
 
@@ -26,6 +26,9 @@ class StoreStatus:
     failures: Mapping[int, tuple[int, str]]
     torn: int
     codes: Mapping[str, int]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines())
 
     @property
     def quarantined(self) -> int:

@@ -33,7 +33,7 @@ class Damage:
         return f"{self.array}, cases {self.first} to {self.last - 1} ({self.file}): {self.reason}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class VerifyReport:
     """What a check found.
 
@@ -51,6 +51,9 @@ class VerifyReport:
     torn: int
     layout: tuple[str, ...] = ()
     unchecked: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines())
 
     @property
     def ok(self) -> bool:

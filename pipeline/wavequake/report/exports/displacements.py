@@ -23,11 +23,11 @@ _POINTS, _RIM = 2000, 180  # over the surface, and on its edge
 
 def export_displacements(
     store: Path, path: Path, case: int, instant: int = 0, overwrite: bool = False
-) -> str:
+) -> tuple[Path, ...]:
     """Write ``NAME-SURFACE.txt`` for NAME.txt and each surface that moves or deforms: lines x y z dx dy dz.
 
     All is in mm and in the frame of the surface at rest, about its vertex: points of the surface and how far
-    the motion and the figure of the case bring them. Return the files' names.
+    the motion and the figure of the case bring them. Return the files.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def export_displacements(
             raise UserError(f"{file} exists already; choose another name or give --overwrite.")
     for index, file in files.items():
         np.savetxt(file, tables[index], fmt="%.17g")
-    return ", ".join(str(file.resolve()) for file in files.values())
+    return tuple(file.resolve() for file in files.values())
 
 
 def displacements(system: OpticalSystem, states: SystemStates, instant: int) -> Iterator[tuple[int, Array]]:

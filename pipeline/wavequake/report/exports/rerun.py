@@ -26,7 +26,7 @@ from wavequake.report.segments.case_detail import detail_of
 from wavequake.workflows.kinds import find_kind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CaseRerun:
     """A case computed again.
 
@@ -43,6 +43,9 @@ class CaseRerun:
     differing: tuple[str, ...]
     trouble: str
     file: Path | None
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines())
 
     def table(self) -> Table:
         """Return labels and numbers for the terminal."""

@@ -15,7 +15,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.posix import peak_memory_mb
 from wavequake.prepared import one_thread, preparation_seconds
-from wavequake.words import counted, lasting
+from wavequake.words import counted, lasting, sized
 from wavequake.workflows.early_notices import early_notices
 from wavequake.workflows.planning.known_times import bundled_times, known_times
 from wavequake.workflows.planning.time_limit import OutOfTimeError, time_limit
@@ -120,7 +120,7 @@ def _planned(study: Study) -> Iterator[dict[str, str]]:
     yield {
         "note": "\n".join(notices(study)),
         "cases": f"{cases} in {counted(-(-cases // chunk), 'chunk')} of {min(cases, chunk)}",
-        "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
+        "store": f"{sized(cases * per_case)}, {sized(per_case)} per case",
     }
     yield workflow.describe(text)
 
