@@ -80,7 +80,7 @@ def test_draws_are_shared_by_the_loops_of_a_realization():
         (
             # z^2 - z + 1.5 has roots of size sqrt(1.5), which turn by acos(1 / (2 sqrt(1.5))).
             {"loop.gain": 1.5, "loop.rates_hz": [100.0]},
-            "loop.gain: the line of sight grows by 20.3 1/s at 18.31 Hz under the integrator at 100 Hz; with 2 "
+            "loop.gain: the line of sight grows by 20.3 1/s at 18.31 Hz with frames of 100 Hz; with 2 "
             "frames of delay give a gain below 1.",
         ),
         ({"loop.gain": 0.0}, "loop.gain: input should be greater than 0"),

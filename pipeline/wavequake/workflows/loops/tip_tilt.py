@@ -181,8 +181,8 @@ def designed(study: TipTiltStudy, name: str, true: Sampled) -> tuple[FrameContro
             worst, rate = integrator_pole(gain, frames), 1 / true.frame
             growth, hertz = np.log(np.abs(worst)) * rate, abs(np.angle(worst)) * rate / (2 * np.pi)
             raise UserError(
-                f"loop.gain: the line of sight grows by {growth:.3g} 1/s at {hertz:.4g} Hz under the integrator "
-                f"at {rate:g} Hz; with {frames} frames of delay give a gain below {most:.6g}."
+                f"loop.gain: the line of sight grows by {growth:.3g} 1/s at {hertz:.4g} Hz with frames of "
+                f"{rate:g} Hz; with {frames} frames of delay give a gain below {most:.6g}."
             )
         return integrator(gain, frames), gain
     return predictor(sampled(shaped(study), true.frame), noise, frames), np.nan
