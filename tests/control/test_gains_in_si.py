@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from wavequake.control.gains import (
     kalman_bucy_gain,
@@ -128,3 +129,25 @@ def test_weights_are_symmetric_but_for_rounding():
         regulator_gain(model, 1e-12 * (np.eye(4) + np.eye(4, k=1)), 1.0)
     with pytest.raises(UserError, match="R must be positive definite"):
         regulator_gain(model, 1.0, 1e-30 * np.ones((2, 2)))
+
+
+def test_a_mode_that_neither_decays_nor_is_weighted_is_named():
+    # Undamped modes of 3 and 200 rad/s; the second costs nothing, and noise does not shake it.
+    model = oscillators(np.array([3.0, 200.0]), np.ones(2))
+    q = np.diag([1.0, 0.0, 1.0, 0.0])
+    with pytest.raises(
+        UserError, match=r"mode 2 \(200 rad/s, 31\.8 Hz\) neither decays nor is weighted; give"
+    ):
+        regulator_gain(model, q, 1.0)
+    with pytest.raises(UserError, match=r"mode 2 \(200 rad/s, 31\.8 Hz\) neither decays nor is shaken; give"):
+        kalman_bucy_gain(model, q, 1.0)
+
+
+def test_a_sampled_mode_that_is_not_seen_is_named_by_its_turns():
+    # Two that turn by 0.1 and 0.3 of a turn per sample and never decay; the measurement sees the first alone.
+    turns = 2 * np.pi * np.array([0.1, 0.3])
+    a = scipy.linalg.block_diag(*([[np.cos(w), np.sin(w)], [-np.sin(w), np.cos(w)]] for w in turns))
+    with pytest.raises(
+        UserError, match=r"does not see the mode of 0\.3 turns per sample \(eigenvalue of size 1\)"
+    ):
+        kalman_gain(a, np.array([[1.0, 0.0, 0.0, 0.0]]), 1.0, 1.0)

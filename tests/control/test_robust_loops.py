@@ -1,5 +1,6 @@
 """Loops of a large plant with the controller of a small model: closed forms, Routh, peers, dense models."""
 
+import warnings
 from itertools import pairwise
 
 import numpy as np
@@ -338,3 +339,17 @@ def test_designs_that_cannot_be_made_say_why():
     loop = loop_of_two()
     with pytest.raises(UserError, match=r"No pole of the full model was found near"):
         refined_pole(1e3 + 0j, lambda s: (np.zeros((2, 2)), np.zeros((2, 2))), loop.controller)
+
+
+def test_a_refinement_that_runs_away_ends_in_a_sentence_and_without_warnings():
+    """1 + 1e-300 / (s (s + 1)) is so flat that the first step leads beyond all numbers."""
+    flat = linear_model([[-1.0]], [[1.0]], [[1e-300]])
+
+    def plant(s):
+        assert np.isfinite(s)
+        return np.array([[1 / s]]), np.array([[-1 / s**2]])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserError, match="No pole of the full model was found near"):
+            refined_pole(1.0 + 1j, plant, flat)

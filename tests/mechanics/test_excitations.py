@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
@@ -5,6 +7,7 @@ from truss import truss
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.spectra import variance
+from wavequake.mechanics.model import rotations
 from wavequake.mechanics.vibration.drive import values
 from wavequake.mechanics.vibration.excitations import (
     AnyExcitation,
@@ -44,11 +47,21 @@ def test_a_force_prescribes_nothing_and_a_displacement_may_leave_others_free():
     force = drive_of(Sinusoid(name="a", acts="force", direction="x", interfaces=(1,)), 3, TIME)
     assert not force.prescribed.any()
     assert (force.harmonics[0].sine != 0).nonzero()[0].tolist() == [3]
-    turned = drive_of(Sinusoid(name="a", direction="ry", interfaces=(1,)), 6, TIME, turns=3)
+    turned = drive_of(Sinusoid(name="a", direction="ry", interfaces=(1,)), 6, TIME, turns=(3, 4, 5))
     assert (turned.harmonics[0].sine != 0).nonzero()[0].tolist() == [13]
     assert turned.prescribed.all()
     with pytest.raises(UserError, match="pads with pad_dofs = 6 do"):
         drive_of(Sinusoid(name="a", direction="ry"), 3, TIME)
+    # Rotations stand where the model has them: of the first node beside it, of the second nowhere.
+    mixed = SimpleNamespace(interfaces=np.array([7, 7, 9]), turns=np.array([1]))
+    assert rotations(mixed).tolist() == [1, -1]
+    for direction, node, place in (("ry", 0, 4), ("z", 1, 8), ("x", 0, 0)):
+        found = drive_of(
+            Sinusoid(name="a", acts="force", direction=direction, interfaces=(node,)), 3, TIME, turns=(1, -1)
+        )
+        assert (found.harmonics[0].sine != 0).nonzero()[0].tolist() == [place]
+    with pytest.raises(UserError, match="pads with pad_dofs = 6 do"):
+        drive_of(Sinusoid(name="a", direction="ry", interfaces=(1,)), 3, TIME, turns=(1, -1))
     free = drive_of(Sinusoid(name="a", others="free", interfaces=(0, 1)), 3, TIME)
     assert free.prescribed.nonzero()[0].tolist() == [2, 5]
     with pytest.raises(UserError, match="without stiffness"):

@@ -266,7 +266,13 @@ def test_impossible_pads(choice, match, files):
         load(files, **choice)
 
 
-def test_pads_on_a_line_are_counted_once(files):
-    model = load(files, TURNING[:2], pads="rigid", pad_dofs=6).model
+def test_two_pads_hold_a_body_where_they_do_not_turn(files):
+    """About the line through them it turns freely if their displacements alone stand still."""
+    free, held = (load(files, TURNING[:2], pads="rigid", pad_dofs=dofs).model for dofs in (3, 6))
     with pytest.raises(UserError, match="the 2 interface nodes of the model block lie on a line"):
-        check_model(model)
+        check_model(free)
+    check_model(held)
+    for model, count in ((free, 1), (held, 0)):
+        moves = np.setdiff1d(np.arange(model.order), model.inputs.tocoo().row)
+        stiff = scipy.linalg.eigvalsh(model.stiffness.toarray()[np.ix_(moves, moves)])
+        assert (stiff < 1e-9 * stiff[-1]).sum() == count

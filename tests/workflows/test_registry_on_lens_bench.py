@@ -4,6 +4,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from small_loops import first_case, written
 
 from wavequake.campaign.contract import DONE
@@ -367,3 +368,11 @@ def test_a_modal_regulator_that_would_feed_back_is_refused(tmp_path, lens, also,
         KIND.check(
             study_of(tmp_path, FORWARD.format(rate=500.0, late=1, lens=lens, also=also)).identity_text()
         )
+
+
+def test_stages_of_different_delays_move_as_each_alone():
+    commands = np.cumsum(np.random.default_rng(4).standard_normal((3, 40)), axis=1) * 1e-6
+    stages = [Stage(delay=delay, gain=gain) for delay, gain in ((4e-3, 1.0), (7.3e-3, 1.2), (4e-3, 0.9))]
+    found = stage_motion(stages, commands, 2e-3, 1e-3, 1e-3, 100)
+    for stage, own, row in zip(stages, commands, found, strict=True):
+        assert_allclose(stage_motion(stage, own[None], 2e-3, 1e-3, 1e-3, 100)[0], row, rtol=1e-12, atol=1e-18)

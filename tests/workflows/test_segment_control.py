@@ -160,3 +160,11 @@ def test_an_unstable_bandwidth_is_said_and_leaves_nothing():
     assert np.isnan(found.loops[1].total)
     assert found.limit_hz < 3.0
     assert loop_of(found.study, found.structure, 3.0).gains.max() == pytest.approx(2 * np.sin(3 * np.pi / 50))
+
+
+def test_a_study_whose_loops_are_all_unstable_has_a_report_that_says_so(tmp_path):
+    wq.run(study(bandwidths_hz=[8.0]), store=tmp_path / "s")
+    page = wq.report(tmp_path / "s").read_text()
+    assert "No bandwidth keeps |S| up to 2." in page
+    assert "It is unstable from" in page
+    assert "Over frequency" not in page

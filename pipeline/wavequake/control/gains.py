@@ -27,6 +27,8 @@ from wavequake.errors import UserError
 _REFINEMENTS = 3
 # Poles farther from where they are wanted, as a share of the largest, are not placed.
 _PLACED = 1e-6
+# Below, a mode does not show; eigenvalues nearer than this to the unit circle do not decay.
+_HIDDEN, _LASTS = 1e-9, 1e-9
 
 
 def regulator_gain(model: LinearModel, q: ArrayLike, r: ArrayLike) -> Array:
@@ -42,10 +44,15 @@ def regulator_gain(model: LinearModel, q: ArrayLike, r: ArrayLike) -> Array:
     count, inputs = model.b.shape
     weight, cost = _weight(q, count, "Q"), _weight(r, inputs, "R")
     _positive(cost, "R")
-    lost = [mode for mode in modes(model) if mode.controllability < 1e-9 and not mode.stable]
+    lost = [mode for mode in modes(model) if mode.controllability < _HIDDEN and not mode.stable]
     if lost:
         raise UserError(f"The regulator cannot be designed: the input does not drive {lost[0]}, which grows.")
     solution = _riccati(model.a, model.b, weight, cost)
+    if solution is None or _idles(replace(model, c=weight)):
+        raise UserError(
+            f"The regulator cannot be designed: {_idle(replace(model, c=weight))} neither decays nor is "
+            "weighted; give Q for it."
+        )
     gain = np.asarray(np.linalg.solve(cost, model.b.T @ solution), dtype=np.float64)
     check_stable(replace(model, a=model.a - model.b @ gain), "The regulator")
     return gain
@@ -73,12 +80,18 @@ def kalman_bucy_gain(model: LinearModel, q: ArrayLike, r: ArrayLike, g: ArrayLik
     into = np.eye(count) if g is None else np.asarray(g, dtype=np.float64).reshape(count, -1)
     weight, noise = _weight(q, into.shape[1], "Q"), _weight(r, len(model.c), "R")
     _positive(noise, "R")
-    lost = [mode for mode in modes(model) if mode.observability < 1e-9 and not mode.stable]
+    lost = [mode for mode in modes(model) if mode.observability < _HIDDEN and not mode.stable]
     if lost:
         raise UserError(
             f"The filter cannot be designed: the measurement does not see {lost[0]}, which grows."
         )
-    solution = _riccati(model.a.T, model.c.T, into @ weight @ into.T, noise)
+    shaken = into @ weight @ into.T
+    solution = _riccati(model.a.T, model.c.T, shaken, noise)
+    hidden = replace(model, a=model.a.T, c=shaken)
+    if solution is None or _idles(hidden):
+        raise UserError(
+            f"The filter cannot be designed: {_idle(hidden)} neither decays nor is shaken; give Q for it."
+        )
     gain = np.asarray(np.linalg.solve(noise, model.c @ solution), dtype=np.float64).T
     check_stable(replace(model, a=model.a - gain @ model.c), "The filter")
     return gain
@@ -105,7 +118,8 @@ def kalman_gain(a: Array, c: Array, q: ArrayLike, r: ArrayLike) -> Array:
         solution = _discrete_riccati(a.T, c.T, weight, noise)
     except (np.linalg.LinAlgError, ValueError):
         raise UserError(
-            "The sampled filter cannot be designed: the measurement does not see a mode that does not decay."
+            f"The sampled filter cannot be designed: the measurement does not see {_lasting(a, c)}, which "
+            "does not decay."
         ) from None
     return np.asarray(np.linalg.solve(c @ solution @ c.T + noise, c @ solution).T, dtype=np.float64)
 
@@ -188,8 +202,35 @@ def _scaled(a: Array, b: Array, q: Array, r: Array) -> tuple[Array, Array, Array
     return a * units / units[:, None], b / units[:, None], q * units * units[:, None], units
 
 
-def _riccati(a: Array, b: Array, q: Array, r: Array) -> Array:
-    """Return X of A'X + XA - X B R^-1 B' X + Q = 0 with A - B R^-1 B' X stable, by the Schur vectors."""
+def _idles(model: LinearModel) -> bool:
+    """Return whether a mode neither decays nor grows, and the outputs do not see it."""
+    return any(
+        abs(mode.pole.real) <= _LASTS * abs(mode.pole) and mode.observability < _HIDDEN
+        for mode in modes(model)
+    )
+
+
+def _idle(model: LinearModel) -> str:
+    """Name the mode that is nearest to neither decaying nor growing, of those that the outputs hardly see."""
+    found = modes(model)
+    hidden = [mode for mode in found if mode.observability < _HIDDEN] or found
+    return str(min(hidden, key=lambda mode: abs(mode.pole.real)))
+
+
+def _lasting(a: Array, c: Array) -> str:
+    """Name the mode of a sampled model that does not decay and shows least, by its turns per sample."""
+    values, vectors = np.linalg.eig(a)
+    lasts = np.flatnonzero(np.abs(values) >= np.abs(values).max(initial=0.0).clip(max=1.0) - _LASTS)
+    least = lasts[np.linalg.norm(c @ vectors[:, lasts], axis=0).argmin()]
+    turns = abs(np.angle(values[least])) / (2 * np.pi)
+    return f"the mode of {turns:.4g} turns per sample (eigenvalue of size {abs(values[least]):.6g})"
+
+
+def _riccati(a: Array, b: Array, q: Array, r: Array) -> Array | None:
+    """Return X of A'X + XA - X B R^-1 B' X + Q = 0 with A - B R^-1 B' X stable, by the Schur vectors.
+
+    None: there is none.
+    """
     a, b, q, units = _scaled(a, b, q, r)
     count, g = len(a), b @ b.T
     hamiltonian = np.block([[a, -g], [-q, -a.T]])
@@ -198,15 +239,14 @@ def _riccati(a: Array, b: Array, q: Array, r: Array) -> Array:
         if stable != count:
             raise np.linalg.LinAlgError
         x = np.linalg.solve(vectors[:count, :count].T, vectors[count:, :count].T)
-        for _ in range(_REFINEMENTS):
-            x = (x + x.T) / 2.0
-            rest = a.T @ x + x @ a - x @ g @ x + q
-            x = x + solve_continuous_lyapunov((a - g @ x).T, -rest)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that a loop hardly decays, which is judged by its poles
+            for _ in range(_REFINEMENTS):
+                x = (x + x.T) / 2.0
+                rest = a.T @ x + x @ a - x @ g @ x + q
+                x = x + solve_continuous_lyapunov((a - g @ x).T, -rest)
     except (np.linalg.LinAlgError, ValueError):
-        raise UserError(
-            "The Riccati equation has no stabilizing solution: a mode neither decays nor is weighted, or "
-            "is hidden; give Q for it."
-        ) from None
+        return None
     return np.asarray((x + x.T) / 2.0 / units / units[:, None])
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavequake.control.bench import COMPENSATOR, SENSITIVITIES
 from wavequake.control.linear import Array
@@ -56,7 +57,7 @@ def follow(one: Follower, stages: Stage | Sequence[Stage], step: float, count: i
     """Return commands, held, and positions of the stage, (c, count), in m, `step` s apart from 0 on.
 
     The control unit's converter rounds commands. `stages` is one for all benches, or one each, with equally
-    many poles and one delay. Where a command acts just then, the position is that after it.
+    many poles. Where a command acts just then, the position is that after it.
 
     Raises
     ------
@@ -64,9 +65,25 @@ def follow(one: Follower, stages: Stage | Sequence[Stage], step: float, count: i
         If it diverges.
     """
     each = [stages] if isinstance(stages, Stage) else list(stages)
-    moving = tuple(dynamics_of(stage) for stage in each)
+    delays = np.broadcast_to([stage.delay for stage in each], one.readings.shape[2])
+    late = np.unique(delays)
+    if len(late) == 1:
+        return _followed(one, each, late[0], delays == late[0], step, count)
+    # All benches of a run have one delay: of each run those count whose own it is.
+    held, moved = np.empty((2, len(delays), count))
+    for delay in late:
+        mine = delays == delay
+        held[mine], moved[mine] = _followed(one, each, delay, mine, step, count)
+    return held, moved
+
+
+def _followed(
+    one: Follower, stages: Sequence[Stage], delay: float, mine: NDArray[np.bool_], step: float, count: int
+) -> tuple[Array, Array]:
+    """Return the same of the benches `mine` (c,), when all stages have this pure delay."""
+    moving = tuple(dynamics_of(stage) for stage in stages)
     plain, benches = one.timing, one.readings.shape[2]
-    timing = Timing(plain.frame, plain.integration, plain.frames, plain.latency + each[0].delay)
+    timing = Timing(plain.frame, plain.integration, plain.frames, plain.latency + delay)
     commands = list[Array]()
     unit = _through_converter(one, benches, commands)
     blind = Eye(np.zeros((one.readings.shape[1], 1)))
@@ -78,13 +95,13 @@ def follow(one: Follower, stages: Stage | Sequence[Stage], step: float, count: i
     # Loops begin a frame before their first reading.
     events = _events(timing, timing.frame - one.first, step, count)
     found = run([loop], events, [one.readings], count)
-    if found.diverged.any():
+    if found.diverged[mine].any():
         raise UserError(f"It diverges under the controller {one.name!r}.")
     began = one.first + (timing.frames - 1) * timing.frame
     periods = np.floor((step * np.arange(count) - began) / timing.period + 1e-9).astype(np.int64)
     given = np.concatenate([np.zeros((1, benches)), *commands])
     held = given[np.clip(periods + 1, 0, len(given) - 1)].T
-    return one.unit * held, one.unit * found.positions[:, 0].T
+    return one.unit * held[mine], one.unit * found.positions[:, 0].T[mine]
 
 
 def dynamics_of(stage: Stage) -> Dynamics:

@@ -98,6 +98,7 @@ def respond(
     """
     import xarray as xr
 
+    from wavequake.mechanics.model import rotations
     from wavequake.mechanics.vibration.excitations import AnyExcitation, drive_of
     from wavequake.mechanics.vibration.modal import LARGEST, modal_model
     from wavequake.mechanics.vibration.response import displacements
@@ -112,7 +113,7 @@ def respond(
     if not (0.0 < step < duration < np.inf):
         raise UserError(f"{duration} s in steps of {step} s are no instants; the step must be the shorter.")
     time = np.arange(round(duration / step) + 1, dtype=np.float64) * step
-    drive = drive_of(wanted, len(model.interfaces), time, turns=len(model.turns))
+    drive = drive_of(wanted, len(model.interfaces), time, turns=rotations(model))
     if _LONG < (order := model.mass.shape[0]) <= LARGEST:
         words = f"all {order} modes of {model.name} are computed, some {_FOR_ALL_S * order**3:.0f} s"
         print(f"Wavequake responds: {words}; wavequake.reduce makes smaller models.", file=sys.stderr)

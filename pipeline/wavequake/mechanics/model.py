@@ -171,6 +171,12 @@ def shifts(model: Any) -> Integers:
     return np.setdiff1d(np.arange(len(model.interfaces)), model.turns)
 
 
+def rotations(model: Any) -> Integers:
+    """Return which of a model's interfaces, from 0, is the rotation of each of `shifts`; -1: it has none."""
+    turns = {int(model.interfaces[one]): int(one) for one in model.turns}
+    return np.array([turns.get(int(node), -1) for node in model.interfaces[shifts(model)]], dtype=np.int64)
+
+
 def force_columns(model: Any) -> Integers:
     """Return which of a model's inputs are forces, not moments."""
     return np.asarray((3 * shifts(model)[:, None] + np.arange(3)).ravel())
@@ -211,8 +217,8 @@ def check_model(model: FiniteElementModel) -> None:
     Raises
     ------
     UserError
-        If the optical surface is empty, its weights are not positive, a node is not finite, or the interface
-        nodes are fewer than three or lie on a line, so that they cannot hold the body.
+        If the optical surface is empty, its weights are not positive, a node is not finite, or the interfaces
+        cannot hold the body: displacements of nodes that are fewer than three or lie on a line.
     """
     if not np.isfinite(model.nodes).all():
         row = int(np.argmin(np.isfinite(model.nodes).all(axis=1)))
@@ -225,12 +231,19 @@ def check_model(model: FiniteElementModel) -> None:
             f"{len(model.surface_nodes)} nodes"
         )
     points = model.nodes[model.interfaces[shifts(model)]]
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 2 else np.zeros(2)
-    if spread[1] <= 1e-6 * spread[0]:
+    if not _hold(points, len(model.turns)):
         raise UserError(
             f"the {len(points)} interface nodes of the model {model.name} lie on a line; "
             "name at least three that span a triangle"
         )
+
+
+def _hold(points: Array, turns: int) -> bool:
+    """Return whether points (p, 3) that stand still hold a body; some do not turn either."""
+    if turns:
+        return len(points) > 0
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 2 else np.zeros(2)
+    return bool(spread[1] > 1e-6 * spread[0])
 
 
 def rigid_modes(coordinates: Array, origin: Array) -> Array:

@@ -41,7 +41,7 @@ class Answer:
     Attributes
     ----------
     names, dynamics, put
-        As of `OwnModes`.
+        As of `OwnModes`; None in systems without segments.
     shown : ndarray, shape (K, M)
         What sensors see per mode.
     drives : mapping of str to ndarray, shape (M, p)
@@ -50,7 +50,7 @@ class Answer:
 
     names: tuple[str, ...]
     dynamics: tuple[Dynamics, ...]
-    put: Put
+    put: Put | None
     shown: Array
     drives: Mapping[str, Array]
 
@@ -87,5 +87,6 @@ def put_all(answers: Sequence[Answer], states: SurfaceStates, positions: Array) 
     first = 0
     for one in answers:
         last = first + len(one.names)
+        assert one.put is not None
         one.put(states, positions[:, first:last])
         first = last

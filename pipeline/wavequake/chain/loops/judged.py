@@ -116,12 +116,12 @@ def carrier(study: LoopBlocks, name: str, loop: SampledLoop, optics: Sighted) ->
     names = names_of(answering(optics.answers, [study.part("controller", name).actuator]))
     shown, drives = loop.modes()
     found = []
-    for k, mode in enumerate(loop.structure):
-        left = np.delete(np.arange(len(names)), k)
+    for name in dict.fromkeys(names):
+        left = np.flatnonzero([one != name for one in names])
         modes = tuple(loop.structure[place] for place in left)
         without = replace(loop, structure=modes, drives=drives[left], shown=shown[:, left])
-        hertz = np.sqrt(np.linalg.det(mode.a)) / (2 * np.pi)
-        found.append((worst_pole(without).growth, f"{names[k]!r} ({hertz:.4g} Hz)"))
+        hertz = np.sqrt(np.linalg.det(loop.structure[names.index(name)].a)) / (2 * np.pi)
+        found.append((worst_pole(without).growth, f"{name!r} ({hertz:.4g} Hz)"))
     return min(found)[1]
 
 

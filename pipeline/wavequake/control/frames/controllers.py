@@ -28,6 +28,16 @@ def largest_gain(frames: int) -> float:
     return float(2 * np.sin(np.pi / (2 * (2 * frames - 1))))
 
 
+def integrator_pole(gain: float, frames: int) -> complex:
+    """Return the largest pole of an integrator's loop of n frames delay, z^n - z^(n-1) + gain = 0."""
+    powers = np.zeros(frames + 1)
+    powers[0] = 1.0
+    powers[1] -= 1.0
+    powers[-1] += gain
+    poles = np.roots(powers)
+    return complex(poles[np.abs(poles).argmax()])
+
+
 def integrator(gain: float, frames: int) -> FrameController:
     """Return c_k = c_(k-1) + gain e_(k-n).
 

@@ -142,8 +142,11 @@ def refined_pole(pole: complex, plant: Response, controller: LinearModel) -> com
         change = left @ (slope @ h + g @ bend) @ right[:, near]
         if change == 0:
             break
-        step = values[near] / change
+        with np.errstate(over="ignore", invalid="ignore"):
+            step = values[near] / change
         s -= complex(step)
+        if not np.isfinite(s):
+            break
         if abs(step) <= _SETTLED * abs(s):
             return s
     raise UserError(f"No pole of the full model was found near {pole:.6g} 1/s.")

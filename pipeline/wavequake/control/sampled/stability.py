@@ -23,6 +23,8 @@ Complex = NDArray[np.complex128]
 _ALIKE = 1e-9
 # Squares of what W gives below this share of the largest are rounding.
 _UNUSED = 1e-13
+# A pole that turns by less than this in a period, rad, is real but for rounding.
+_STILL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -201,7 +203,8 @@ def worst_pole(loop: SampledLoop, factor: float = 1.0) -> Worst:
         channels = np.abs(parts @ closed.basis.T).sum(axis=0)
     value = complex(values[np.abs(values).argmax()])
     rate = np.log(max(abs(value), 1e-300)) / loop.timing.period
-    hertz = abs(np.angle(value)) / (2 * np.pi * loop.timing.period)
+    turned = abs(np.angle(value))
+    hertz = turned / (2 * np.pi * loop.timing.period) if turned > _STILL else 0.0
     return Worst(value, float(rate), float(hertz), channels)
 
 

@@ -56,6 +56,8 @@ class Plant:
     resonances : ndarray, shape (2, k)
         Angular frequencies, rad/s, and damping ratios about which random vibration is drawn finely: its own
         ones, or those of another plant with which it is compared, so that both are shaken alike.
+    free : ndarray, shape (m, f)
+        Rows of the outputs per free motion of unit modal mass, of what floats.
     """
 
     modal: ModalModel
@@ -68,6 +70,7 @@ class Plant:
     grounded: bool
     held: tuple[str, ...]
     resonances: Array
+    free: Array
 
     @property
     def omega(self) -> Array:
@@ -115,6 +118,7 @@ def plant(
         raise
     if modal.free.sum() != (0 if grounded else 6):
         _require_support(model, chosen, grounded, name)
+    free = np.asarray(model.surface @ modal.modes[:, modal.free])
     modal = _elastic(modal, damping_ratio)
     places, points = _nodes(chosen)
     return Plant(
@@ -128,6 +132,7 @@ def plant(
         grounded,
         tuple(body.name for body in bodies if body.held),
         np.array([omega := np.sqrt(modal.squared), 0.5 * np.diag(modal.damping) / omega]),
+        free,
     )
 
 

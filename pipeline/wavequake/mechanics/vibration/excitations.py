@@ -8,6 +8,7 @@ inputs of `wavequake.mechanics.vibration.response.respond`.
 import csv
 import io
 import math
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -26,7 +27,7 @@ from wavequake.mechanics.disturbances.spectra import (
     tabulated,
     variance,
 )
-from wavequake.mechanics.model import Array
+from wavequake.mechanics.model import Array, Integers
 from wavequake.mechanics.vibration.drive import Drive, Impulse, ramped_sine
 from wavequake.mechanics.vibration.response import time_step
 from wavequake.prepared import prepared
@@ -174,7 +175,7 @@ def drive_of(
     time: Array,
     seed: int = 0,
     realization: int = 0,
-    turns: int = 0,
+    turns: Sequence[int] | Integers = (),
 ) -> Drive:
     """Return the inputs that an excitation is, for a body with so many interface nodes.
 
@@ -187,8 +188,8 @@ def drive_of(
         Number k of interfaces of the model.
     time : ndarray, shape (t,)
         Evenly spaced instants from 0, s.
-    turns : int
-        How many of the interfaces, the last ones, are rotations of the others' nodes.
+    turns : sequence of int
+        Which interface is the rotation of each node, see `wavequake.mechanics.model.rotations`; -1: none.
 
     Raises
     ------
@@ -196,21 +197,24 @@ def drive_of(
         If it names a node that the body has not, or turns one that cannot, is faster than the instants
         resolve, or its record is too short or has the wrong number of columns.
     """
-    count = interfaces - turns
+    turned = np.asarray(turns, dtype=np.int64)
+    moves = np.setdiff1d(np.arange(interfaces), turned)
+    count = len(moves)
     nodes = list(range(count)) if excitation.interfaces is None else list(excitation.interfaces)
     if max(nodes, default=-1) >= count or not nodes:
         raise UserError(
             f"the excitation {excitation.name!r} acts at interface node {max(nodes, default=0)}, but the "
             f"body has {count}, counted from 0"
         )
-    places = 3 * np.array(nodes) + "xyz".index(excitation.direction[-1])
+    chosen = moves[nodes]
     if excitation.direction.startswith("r"):
-        if turns != count:
+        if not turned.size or (turned[nodes] < 0).any():
             raise UserError(
                 f"the excitation {excitation.name!r} turns interfaces (direction = "
                 f"{excitation.direction!r}), but the body gives them no rotations; pads with pad_dofs = 6 do"
             )
-        places += 3 * count
+        chosen = turned[nodes]
+    places = 3 * chosen + "xyz".index(excitation.direction[-1])
     pattern = np.zeros(3 * interfaces)
     pattern[places] = 1.0
     prescribed = _prescribed(excitation, pattern)

@@ -17,7 +17,7 @@ from rich.table import Table
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
 from wavequake.report.loops.frequency import logarithmic, style
-from wavequake.report.page import Page, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 
@@ -146,33 +146,9 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         answer=answer(dataset),
         table=rows_of(loops),
         small_print="Surface rms over all segments; the wavefront is twice as large.",
-        overview=[
-            picture(
-                "remains",
-                "What remains over the bandwidth",
-                _remains(dataset, loops),
-                "Dotted: wind and the structure's motion without a loop.",
-            ),
-            picture(
-                "peaks",
-                "Peak of the sensitivity by mode of the structure",
-                _peaks(dataset),
-                "Along the shape of each mode of the structure. Broken lines are what is accepted (across) "
-                "and the bandwidth from which on the nominal loop is unstable (upright).",
-            ),
-        ],
+        overview=_overview(dataset, loops),
         sections=[
-            Section(
-                "Over frequency",
-                [
-                    picture(
-                        "sensitivity",
-                        "Sensitivity over frequency",
-                        _sensitivity(dataset, loops),
-                        "Largest singular value: what is left of a motion of the mirror. Above 1 it grows.",
-                    )
-                ],
-            ),
+            *_over_frequency(dataset, loops),
             Section(
                 "The mirror",
                 [
@@ -238,6 +214,36 @@ def _peaks(dataset: xr.Dataset) -> Figure:
     axes.set(xlabel="bandwidth (Hz)", ylabel="largest |S|", title="Control and structure")
     axes.legend(fontsize=7)
     return figure
+
+
+def _overview(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Picture]:
+    """Return what remains and peaks over the bandwidth; of unstable loops nothing is known."""
+    if not any(one.stable for one in loops):
+        return []
+    return [
+        picture(
+            "remains",
+            "What remains over the bandwidth",
+            _remains(dataset, loops),
+            "Dotted: wind and the structure's motion without a loop.",
+        ),
+        picture(
+            "peaks",
+            "Peak of the sensitivity by mode of the structure",
+            _peaks(dataset),
+            "Along the shape of each mode of the structure. Broken lines are what is accepted (across) "
+            "and the bandwidth from which on the nominal loop is unstable (upright).",
+        ),
+    ]
+
+
+def _over_frequency(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Section]:
+    """Return the section of what is known over frequency; unstable loops have no sensitivity."""
+    if not any(one.stable for one in loops):
+        return []
+    about = "Largest singular value: what is left of a motion of the mirror. Above 1 it grows."
+    shown = picture("sensitivity", "Sensitivity over frequency", _sensitivity(dataset, loops), about)
+    return [Section("Over frequency", [shown])]
 
 
 @rc_context(STYLE)

@@ -28,7 +28,7 @@ from wavequake.errors import UserError
 _LOOPS = {
     "controller-mor": "wavequake.workflows.loops.controller_mor",
     "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
-    "telescope-loop": "wavequake.workflows.loops.telescope_margins",
+    "telescope-loop": "wavequake.workflows.loops.telescope_bench",
     "system-loop": "wavequake.workflows.loops.system_loop",
     "segment-control": "wavequake.workflows.loops.segment_control",
     "lens-experiment": "wavequake.workflows.lens.loops",

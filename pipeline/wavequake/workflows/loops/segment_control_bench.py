@@ -121,7 +121,8 @@ def structure_of(study: SegmentControlStudy, layout: SegmentLayout, modes: SeenM
         seen = modes.shapes.T @ motion
         if np.linalg.norm(seen) < _SEEN * np.linalg.norm(motion):
             raise UserError(
-                f"mode.{one.name}: edge sensors do not see its shape, which is of the whole mirror; drop it."
+                f"mode.{one.name} ({one.hz:g} Hz): edge sensors do not see its shape, which is of the whole "
+                "mirror; drop it."
             )
         shapes.append(seen / np.linalg.norm(seen))
     hertz, zeta, shares = (

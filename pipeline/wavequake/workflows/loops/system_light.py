@@ -12,11 +12,13 @@ from wavequake.chain.loops.light import Light
 from wavequake.chain.loops.structure import Carrying
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
+from wavequake.mechanics.assembly.answers import moved as split_outputs
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, ElementMotion, add_elements
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.systems.paraxial import paraxial
+from wavequake.workflows.loops.pushing import pushing_of
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.systems.bench import NM_PER_MM, SystemBench, system_states
@@ -26,6 +28,8 @@ from wavequake.workflows.systems.streaks import flat, light_gains, streaked_time
 
 # A straight line between two instants is at most this far, rms, off what is seen of a disturbance.
 _STRAIGHT = 0.01
+# Motions at which derivatives of carried bodies are taken, m and rad.
+_SMALL = 1e-8
 _FEWEST, _MOST = 64, 1 << 16  # instants of a case between which lines are straight
 
 
@@ -70,6 +74,10 @@ class SystemOptics:
     sights : dict of ndarray, shape (K, p)
     times : tuple of Times or None
         Of each population that has cases.
+    answers : tuple of Answer
+        Bodies with mass that stages push.
+    pushed : ndarray, shape (m, M), or None
+        Outputs of the plant per position of these modes.
     """
 
     bench: SystemBench
@@ -80,6 +88,7 @@ class SystemOptics:
     times: tuple[Times | None, ...]
     structure: Carrying | None = None
     answers: tuple[Answer, ...] = ()
+    pushed: Array | None = None
 
     @property
     def still(self) -> Array:
@@ -123,7 +132,25 @@ def optics_of(study: SystemLoopStudy) -> SystemOptics:
     bare = SystemOptics(bench, light, mm, gain, {}, ())
     sights = {one.name: _sight(bare, one) for one in study.actuator}
     times = tuple(_times(study, bare, entry) if entry.share else None for entry in study.disturbance)
-    return SystemOptics(bench, light, mm, gain, sights, times)
+    pushing = pushing_of(study, bench, light)
+    if pushing is None:
+        return SystemOptics(bench, light, mm, gain, sights, times)
+    shown = _shown(bare, pushing.outputs)
+    answer = Answer(pushing.names, pushing.dynamics, None, shown, pushing.drives)
+    return SystemOptics(bench, light, mm, gain, sights, times, None, (answer,), pushing.outputs)
+
+
+def _shown(optics: SystemOptics, outputs: Array) -> Array:
+    """Return what is seen per mode that moves outputs of the plant (m, M)."""
+    sizes = np.abs(outputs).max(axis=0, initial=0.0)
+    units = _SMALL / np.where(sizes > 0, sizes, 1.0)
+    return np.ascontiguousarray(optics.see(carried(optics.bench, (outputs * units).T)).T / units)
+
+
+def carried(bench: SystemBench, outputs: Array) -> ElementMotion:
+    """Return the motion of elements that outputs (n, m) of the plant are."""
+    rigid, figure = split_outputs(bench.plants[FULL], outputs)
+    return ElementMotion(rigid, figure, np.zeros((len(outputs), 2)))
 
 
 def _sight(optics: SystemOptics, one: Actuator) -> Array:
@@ -144,6 +171,9 @@ def moved(optics: SystemOptics, one: Designed, positions: Array) -> ElementMotio
         last = first + len(actuator.channels(optics.light))
         found = add_elements(found, still(len(positions), actuator.motion(positions[:, first:last])))
         first = last
+    if one.answers:
+        assert optics.pushed is not None
+        found = add_elements(found, carried(optics.bench, positions[:, first:] @ optics.pushed.T))
     return found
 
 

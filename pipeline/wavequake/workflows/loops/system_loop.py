@@ -18,6 +18,7 @@ from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import noise_of, seen
+from wavequake.chain.loops.answers import dynamics_of
 from wavequake.chain.loops.designed import Designed, readings_of
 from wavequake.chain.loops.judged import judged_loops
 from wavequake.control.linear import Array
@@ -28,6 +29,7 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import ElementMotion, add_elements
 from wavequake.workflows.loops.curves import curves, frequencies
 from wavequake.workflows.loops.loop_margins import Makers, linear_loops
+from wavequake.workflows.loops.pushing import pushing_notices
 from wavequake.workflows.loops.system_light import SystemOptics, drawn_at, moved, optics_of, seen_of
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.study import FULL
@@ -100,7 +102,8 @@ def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[
         motions.append((times.seen[times.looks[times.instants]], left))
         away.append(_away(bench, one, index, left, way, positions))
         linear = at_instants + positions[times.instants] @ one.sight.T
-        own.append((linear, limited, np.abs(positions).max(initial=0.0)))
+        channels = positions[:, : one.channels(optics.light)]
+        own.append((linear, limited, np.abs(channels).max(initial=0.0)))
     found = measured_cases(system, motions, choose_device(device_name), clock, imager, away)
     numbers: list[dict[str, Array]] = []
     for one, (values, message), (linear, limited, largest) in zip(bench.controllers, found, own, strict=True):
@@ -147,7 +150,7 @@ def _positions(
     case = times.seen, disturbance, realization
     given = readings_of(study, bench.optics.light, one, [case], study.study.seed)
     place = sum(entry.share > 0 for entry in study.disturbance[:index])  # schedules are of those with cases
-    found = run(one.loops, one.schedules[place], given, len(times.looks))
+    found = run(one.loops, one.schedules[place], given, len(times.looks), dynamics_of(one.answers))
     return np.ascontiguousarray(found.positions[..., 0]), found.limited[0], bool(found.diverged[0])
 
 
@@ -240,6 +243,7 @@ def case_labels(study: SystemLoopStudy, cases: NDArray[np.int64]) -> CaseTable:
 def notices(study: SystemLoopStudy) -> Iterator[str]:
     """Yield what is to say of the system."""
     yield from system_disturbance.notices(study.disturbed)
+    yield from pushing_notices(study)
 
 
 KIND = study_kind(

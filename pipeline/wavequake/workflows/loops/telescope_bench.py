@@ -7,6 +7,7 @@ from wavequake.chain.loops.designed import Designed
 from wavequake.chain.loops.judged import judged_loops
 from wavequake.control.linear import Array
 from wavequake.control.sampled.stability import SampledLoop
+from wavequake.workflows.loops.loop_margins import Makers, linear_loops
 from wavequake.workflows.loops.telescope_light import Optics, drawn, optics_of, seen_of
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 
@@ -53,3 +54,8 @@ def bench_of(study: TelescopeLoopStudy) -> Bench:
     return Bench(
         study, optics, *judged_loops(study, study.study.name, optics, study.disturbance, looks, seen)
     )
+
+
+def loops(study: TelescopeLoopStudy) -> Makers:
+    """Return every linear controller that acts, each alone."""
+    return linear_loops(study, optics_of(study))

@@ -18,6 +18,7 @@ from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.frames.controllers import (
     FrameController,
     integrator,
+    integrator_pole,
     largest_gain,
     plant_and_controller,
     predictor,
@@ -35,6 +36,7 @@ from wavequake.control.frames.residual import (
     sensitivity,
     spectral_radius,
 )
+from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.sources.line_of_sight import LineOfSight, sight_spectrum
 from wavequake.mechanics.disturbances.sources.vibration_lines import Line, VibrationLines, lines_of
@@ -175,6 +177,13 @@ def designed(study: TipTiltStudy, name: str, true: Sampled) -> tuple[FrameContro
     noise, frames = section.noise_mas, section.delay_frames
     if name == "integrator":
         gain = best_gain(true, noise, frames) if section.gain is None else section.gain
+        if gain >= (most := largest_gain(frames)):
+            worst, rate = integrator_pole(gain, frames), 1 / true.frame
+            growth, hertz = np.log(np.abs(worst)) * rate, abs(np.angle(worst)) * rate / (2 * np.pi)
+            raise UserError(
+                f"loop.gain: the line of sight grows by {growth:.3g} 1/s at {hertz:.4g} Hz with frames of "
+                f"{rate:g} Hz; with {frames} frames of delay give a gain below {most:.6g}."
+            )
         return integrator(gain, frames), gain
     return predictor(sampled(shaped(study), true.frame), noise, frames), np.nan
 

@@ -39,7 +39,7 @@ class LoopSection(Section):
     delay_frames: int = Field(
         default=2, ge=1, le=10, description="1: what a frame shows acts in the next one"
     )
-    gain: float | None = Field(default=None, description="of the integrator; default: the best one")
+    gain: float | None = Field(default=None, gt=0, description="of the integrator; default: the best one")
     noise_mas: float = Field(default=5.0, gt=0, description="of the sensor, per frame")
     lines_off: float = Field(
         default=0.0,

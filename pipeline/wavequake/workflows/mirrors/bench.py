@@ -16,7 +16,7 @@ from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.kernels.device.devices import Device
 from wavequake.mechanics.mirrors.material import Material
 from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
-from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel
+from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel, rotations
 from wavequake.mechanics.vibration.drive import Drive
 from wavequake.mechanics.vibration.excitations import AnyExcitation, drive_of
 from wavequake.mechanics.vibration.modal import ModalModel, modal_model
@@ -214,8 +214,8 @@ def time_of(study: AnyMirrorStudy) -> Array:
 
 def drive_at(excitation: AnyExcitation, model: ReducedModel | Intermediate, study: AnyMirrorStudy) -> Drive:
     """Return the inputs that an excitation of a study is at the interfaces of a model."""
-    interfaces, turns = len(model.interfaces), len(model.turns)
-    return drive_of(excitation, interfaces, time_of(study), study.study.seed, turns=turns)
+    interfaces = len(model.interfaces)
+    return drive_of(excitation, interfaces, time_of(study), study.study.seed, turns=rotations(model))
 
 
 def check_variants_of(study: AnyMirrorStudy, bench: Bench, variants: tuple[str, ...]) -> None:

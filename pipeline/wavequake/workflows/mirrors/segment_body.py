@@ -144,6 +144,7 @@ def _on_springs(section: ElasticSegmentSection, body: SegmentBody, name: str) ->
         True,
         (),
         np.array([omega, 0.5 * np.diag(modal.damping) / omega]),
+        np.zeros((len(rows), 0)),
     )
 
 

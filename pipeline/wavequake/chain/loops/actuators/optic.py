@@ -30,6 +30,13 @@ class Stage(Actuator):
     dofs: tuple[Literal["dx", "dy", "dz", "rx", "ry", "rz"], ...] = Field(
         default=("dx", "dy"), min_length=1, strict=False, description="of dx, dy, dz, rx, ry, rz"
     )
+    mass_kg: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e9,
+        description="that it moves, of the mass of the body with mass that carries it, which it pushes back; "
+        "default: that of a rigid body which it moves",
+    )
 
     def channels(self, light: Light) -> tuple[str, ...]:
         """Return the degrees of freedom.
