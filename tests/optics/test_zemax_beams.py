@@ -197,3 +197,22 @@ def test_a_ring_shaped_obscuration_is_an_opening_and_is_named():
     assert system.note == (
         "Ring-shaped obscurations stop here all light beyond their inner radius: surface 3."
     )
+
+
+def test_light_that_converges_to_a_virtual_object_is_imaged_without_aberration_at_the_aplanatic_point():
+    """Toward R (1 + n) behind a sphere it meets at R (1 + 1 / n), on paths that are equal."""
+    n, radius = 1.5, 40.0
+    system = parse_zmx(
+        f"OBNA 0.12 0\nWAVM 1 0.55 1\nFTYP 1 0 1 1\nYFLN 0\nSURF 0\n  DISZ {-radius * (1 + n)}\n"
+        f"SURF 1\n  STOP\n  CURV {1 / radius}\n  GLAS ___BLANK 1 0 {n} 0 0\n  DISZ {radius * (1 + 1 / n)}\n"
+        "SURF 2\n",
+        "lens.zmx",
+    )
+    edge = sunflower(0.0, 1.0, 60)
+    rays = pupil_rays(system, system.fields[0], 550e-6, edge.x, edge.y)
+    assert np.hypot(*rays.direction[:2]).max() == pytest.approx(0.12, rel=0.02)
+    found = trace_sequence_numpy(pack(system, 550e-6), rays, moving(system, rest_states(system)), True)
+    np.testing.assert_allclose([found.x, found.y], 0.0, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.path, 0.0, rtol=0, atol=1e-12)  # so much forth as back
+    assert paraxial(system).object_na == pytest.approx(0.12, rel=0.02)
+    assert "virtual, 100 mm behind surface 1" in info(system)

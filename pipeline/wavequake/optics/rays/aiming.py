@@ -237,14 +237,10 @@ def require_light(system: OpticalSystem) -> None:
             _bundle(system, data, field, wavelength)
 
 
-def _require_real_object(system: OpticalSystem) -> None:
-    """Raise UserError unless the object stands before the first surface, from where its light can come."""
-    distance = way_from_object(system)
-    if not distance > 0.0:
-        raise UserError(
-            f"the object of {system.name} stands {distance:g} mm before the first surface; "
-            "the distance must be positive"
-        )
+def _require_distance(system: OpticalSystem) -> None:
+    """Raise UserError if the object stands in the first surface; behind it, it is virtual."""
+    if way_from_object(system) == 0.0:
+        raise UserError(f"the object of {system.name} stands in the first surface; move it off")
 
 
 def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: float) -> tuple[Bundle, Array]:
@@ -261,10 +257,10 @@ def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: flo
         chief = center + (first - center[2]) * direction
         direction /= np.linalg.norm(direction)
         return Bundle(np.array([0.0, 0.0, first]), direction, center, index), chief[:2]
-    _require_real_object(system)
+    _require_distance(system)
     origin = np.array([*field, system.surfaces[0].position[2] - system.object_distance])
     if system.telecentric or not isfinite(data.entrance_pupil):
-        if abs(data.entrance_pupil) < _TELECENTRIC * system.object_distance:
+        if abs(data.entrance_pupil) < _TELECENTRIC * abs(system.object_distance):
             raise UserError(
                 f"the system {system.name} is declared telecentric, but its entrance pupil lies "
                 f"{data.entrance_pupil:.6g} mm behind the first surface; place the stop in the focal plane "

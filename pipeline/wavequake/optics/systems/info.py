@@ -66,8 +66,11 @@ def info(system: OpticalSystem) -> str:
 
 
 def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]:
-    far = not isfinite(system.object_distance)
-    kind = "infinity" if far else f"{_number(system.object_distance)} mm before {system.surfaces[0].name}"
+    distance, first = system.object_distance, system.surfaces[0].name
+    far = not isfinite(distance)
+    kind = "infinity" if far else f"{_number(distance)} mm before {first}"
+    if distance < 0.0:
+        kind = f"virtual, {_number(-distance)} mm behind {first}"
     before, behind = real_apertures(system) or (None, None)
     rows: list[tuple[str, ...]] = [
         ("object", kind + (", telecentric" if system.telecentric else "")),
