@@ -53,9 +53,10 @@ def report(store: str | Path) -> Path:
     --------
     >>> report("runs/tmt-segments-1a2b3c4d")  # doctest: +SKIP
     """
+    from wavequake.campaign.store.objects import location
     from wavequake.report.campaign import report_store
 
-    return report_store(Path(store))[1]
+    return report_store(location(store))[1]
 
 
 def compare(first: str | Path, *others: str | Path) -> "pd.DataFrame":
@@ -179,9 +180,10 @@ def export(store: str | Path, file: str | Path, *, overwrite: bool = False) -> P
     --------
     >>> export("runs/tmt-segments-1a2b3c4d", "tmt.csv")  # doctest: +SKIP
     """
+    from wavequake.campaign.store.objects import location
     from wavequake.report.campaign import export_store
 
-    return export_store(Path(store), Path(file), overwrite)
+    return export_store(location(store), Path(file), overwrite)
 
 
 def margins(study: str | Path, **overrides: Any) -> "pd.DataFrame":
