@@ -1,10 +1,8 @@
 """A local S3 server for tests: moto's, which answers one request after the other.
 
-Moto looks at a condition and writes in two steps: with threads, another PUT might come between them. S3 has no
-such gap, and this has none.
+Moto looks at a condition and writes in two steps: with threads, another PUT might come between them. S3
+has no such gap, and this has none.
 """
-
-import sys
 
 from moto.server import DomainDispatcherApplication, create_backend_app
 from werkzeug.serving import WSGIRequestHandler, make_server

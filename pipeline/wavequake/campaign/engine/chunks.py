@@ -9,6 +9,7 @@ import errno
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,7 +23,7 @@ from wavequake.campaign.stopwatch import CPU
 from wavequake.campaign.store import fence, journal
 from wavequake.campaign.store.arrays import Array, array_of, chunk_file, open_group, write_chunk
 from wavequake.campaign.store.journal import Chunk, Record
-from wavequake.campaign.store.objects import any_exists, location
+from wavequake.campaign.store.objects import ObjectPath, location, versions
 from wavequake.campaign.store.retention import kept_result, kept_template, retention_of
 from wavequake.campaign.store.store import DATA, JOURNAL, Manifest, read_manifest, write_errors_explained
 from wavequake.errors import StoreDamageError, UserError
@@ -289,9 +290,19 @@ class _Disk:
         opened = replace(self.record, digests={}, counts=counts, failures={}, settles=False)
         patiently(lambda: journal.append(self.path / JOURNAL, opened))
 
+    @cached_property
+    def files(self) -> list[Path]:
+        data, arrays = self.path / DATA, self.opened.arrays.values()
+        return [chunk_file(data, array, self.record.first) for array in arrays]
+
+    @cached_property
+    def seen(self) -> dict[ObjectPath, str | None]:
+        return versions(file for file in self.files if isinstance(file, ObjectPath))
+
     def is_begun(self) -> bool:
-        data, first = self.path / DATA, self.record.first
-        return any_exists(chunk_file(data, array, first) for array in self.opened.arrays.values())
+        if isinstance(self.path, ObjectPath):
+            return any(self.seen.values())
+        return any(file.exists() for file in self.files)
 
     def is_recorded(self) -> bool:
         if not self.is_begun():  # which spares a look at the whole journal
@@ -302,7 +313,7 @@ class _Disk:
 
     def write(self) -> Iterator[None]:
         start = time.perf_counter()
-        what = (self.opened.arrays, self.record.chunk, self.result, self.admit)
+        what = (self.opened.arrays, self.record.chunk, self.result, self.admit, self.seen)
         digests = patiently(lambda: write_chunk(*what))
         self.write_s = time.perf_counter() - start
         timings = {"compute_s": self.compute_s, "write_s": self.write_s, **self.result.timings}

@@ -7,11 +7,13 @@ by :mod:`wavequake.campaign.store.objects`.
 """
 
 import asyncio
+import atexit
 import os
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import lru_cache
 from math import prod
 from pathlib import Path
 from typing import Any, cast
@@ -89,8 +91,21 @@ def missing_reads_as_fill() -> Iterator[None]:
 def zarr_store(folder: Path, *, read_only: bool = False) -> FsspecStore | DurableStore:
     """Return zarr's store of a folder; of objects one that reads."""
     if isinstance(folder, ObjectPath):
-        return FsspecStore(file_system(asynchronous=True), True, f"{folder.bucket}/{folder.key}")
+        return FsspecStore(_reader(), True, f"{folder.bucket}/{folder.key}")
     return DurableStore(folder, read_only=read_only)
+
+
+@lru_cache(maxsize=1)
+def _reader() -> Any:
+    found = file_system(asynchronous=True)
+
+    def close() -> None:
+        if client := getattr(found, "_s3creator", None):
+            with suppress(Exception):
+                sync(client.__aexit__(None, None, None), timeout=1.0)
+
+    atexit.register(close)  # or connections that are open at the end are complained of
+    return found
 
 
 def create_group(folder: Path, attributes: dict[str, Any]) -> zarr.Group:
@@ -182,13 +197,15 @@ def write_chunk(
     chunk: Chunk,
     result: ChunkResult,
     allowed: Callable[[], None] = lambda: None,
+    seen: Mapping[ObjectPath, str | None] | None = None,
 ) -> dict[str, str]:
     """Write the numbers of one chunk, each array in one file and the status last; return their digests.
 
     The arrays are written at the same time: one after the other, most of the time would go to waiting.
 
     Only a whole piece may be written: two writers of one file would lose each other's cases without any
-    error. In object storage, `allowed` is asked before each array is written over what was there before.
+    error. In object storage, `allowed` is asked before arrays are written over what was there before,
+    of which `seen` are the versions.
     """
     first, last = chunk
     values = _values(result)
@@ -213,7 +230,7 @@ def write_chunk(
         else:
             chosen = {name: arrays[name] for name in sorted(names)}
             files = {_object(one, first): _encoded(one, chunk, values[name]) for name, one in chosen.items()}
-            write(files, allowed)
+            write(files, allowed, seen)
     return {name: digest(values[name]) for name in arrays}
 
 

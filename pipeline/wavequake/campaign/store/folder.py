@@ -55,7 +55,9 @@ def refuse_foreign(path: Path) -> None:
         names = sorted(file.name for file in path.iterdir()) if path.exists() else []
     if not names or MANIFEST in names:
         return
-    # Where we wrote data, we had made the journal's folder before: other data are somebody else's.
+    # Where we wrote data, we had made the journal's folder before, and of objects the fence: other data are
+    # somebody else's.
+    marked = JOURNAL in names or (isinstance(path, ObjectPath) and FENCE in names)
     ours = [
         MANIFEST,
         JOURNAL,
@@ -71,7 +73,7 @@ def refuse_foreign(path: Path) -> None:
         CLAIMS,
         BEATS,
     ]
-    ours += [DATA] if JOURNAL in names else []
+    ours += [DATA] if marked else []
     foreign = [name for name in names if name.split(".partial")[0] not in ours]
     if DATA in names and any((path / JOURNAL).glob("*.jsonl")):
         raise UserError(

@@ -164,14 +164,6 @@ def presence(folder: Path) -> Callable[[Path], bool]:
     return lambda file: file.is_file() and file.stat().st_size > 0
 
 
-def any_exists(files: Iterable[Path]) -> bool:
-    """Return whether any of these files is there; objects are asked for at the same time."""
-    files = list(files)
-    if all(isinstance(file, ObjectPath) for file in files):
-        return any(versions([file for file in files if isinstance(file, ObjectPath)]).values())
-    return any(file.exists() for file in files)
-
-
 def get(path: ObjectPath) -> tuple[bytes, str] | None:
     """Return content and version of an object, None if there is none."""
     (found,) = get_each([path])
@@ -190,9 +182,10 @@ def get_each(paths: Sequence[ObjectPath]) -> list[tuple[bytes, str] | None]:
     return [None if isinstance(answer, FileNotFoundError) else _sound(answer) for answer in answers]
 
 
-def versions(paths: Sequence[ObjectPath]) -> dict[ObjectPath, str | None]:
+def versions(paths: Iterable[ObjectPath]) -> dict[ObjectPath, str | None]:
     """Return the version of each object, None where there is none."""
-    answers = _ask_all(_call("head_object", path) for path in paths)
+    paths = list(paths)
+    answers = _ask_all([_call("head_object", path) for path in paths]) if paths else []
     return {
         path: None if isinstance(answer, FileNotFoundError) else _sound(answer)["ETag"]
         for path, answer in zip(paths, answers, strict=True)
@@ -216,7 +209,10 @@ def overwrite(path: ObjectPath, content: bytes) -> None:
 
 
 def change(path: ObjectPath, changed: Callable[[bytes | None], bytes]) -> bytes:
-    """Replace an object by what `changed` makes of it, which is asked again if another writer was first."""
+    """Replace an object by what `changed` makes of it, which is asked again if another writer was first.
+
+    Where the object then is as this would have made it, that is enough: the answer may have been lost.
+    """
     while True:
         found = get(path)
         content = changed(found and found[0])
@@ -226,20 +222,26 @@ def change(path: ObjectPath, changed: Callable[[bytes | None], bytes]) -> bytes:
             return content
 
 
-def write(contents: Mapping[ObjectPath, bytes], allowed: Callable[[], None] | None = None) -> None:
+def write(
+    contents: Mapping[ObjectPath, bytes],
+    allowed: Callable[[], None] | None = None,
+    seen: Mapping[ObjectPath, str | None] | None = None,
+) -> None:
     """Write objects at the same time, each over a version that was there before `allowed` was asked last.
 
     So a writer that is stopped, and wakes when others have begun to write these objects because it is not
     allowed to any more, overwrites nothing of theirs. `allowed` raises then. By default it is what
-    :func:`guarded` says.
+    :func:`guarded` says. `seen` are versions that were looked up before, if they were.
     """
     left = dict(contents)
+    before = dict(seen or {})
     while left:
-        before = versions(list(left))
+        before |= versions([path for path in left if path not in before])
         for guard in [allowed] if allowed else _guards_of(next(iter(left))):
             guard()
         written = _put_all(left, before)
         left = {path: content for path, content in left.items() if not written[path]}
+        before = {}
 
 
 _guards: dict[ObjectPath, Callable[[], None]] = {}
@@ -275,8 +277,9 @@ def upload(source: Path, target: ObjectPath) -> list[str]:
     def rank(path: ObjectPath) -> int:
         return 2 if path.parent == target else 1 if path.name == "zarr.json" else 0
 
+    seen = {path: found and found[1] for path, found in there.items()}
     for now in range(3):
-        write({path: one for path, one in differing.items() if rank(path) == now})
+        write({path: one for path, one in differing.items() if rank(path) == now}, seen=seen)
     return [str(path.relative_to(target)) for path in differing]
 
 
