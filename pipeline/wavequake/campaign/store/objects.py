@@ -301,7 +301,7 @@ def file_system(asynchronous: bool = False) -> Any:
     try:
         import s3fs
     except ImportError:
-        raise UserError("Stores at s3:// need s3fs: pip install 'wavequake[s3]'.") from None
+        raise UserError("Stores at s3:// need s3fs: pip install s3fs.") from None
     return s3fs.S3FileSystem(
         asynchronous=asynchronous,
         use_listings_cache=False,  # others write at the same time
