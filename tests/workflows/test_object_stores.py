@@ -221,7 +221,8 @@ def driver(path, seconds, **keywords):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     call = f"toy.run({str(path)!r}, {{'sleep_s': {seconds}}}, **{keywords!r})"
     words = [sys.executable, "-c", f"{QUICK}import toy\nif __name__ == '__main__':\n    {call}\n"]
-    return subprocess.Popen(words, env=environment, start_new_session=True)
+    nothing = subprocess.DEVNULL
+    return subprocess.Popen(words, env=environment, stdout=nothing, stderr=nothing, start_new_session=True)
 
 
 def test_four_writers_that_are_killed_lose_nothing(path, tmp_path):
@@ -235,7 +236,8 @@ def test_four_writers_that_are_killed_lose_nothing(path, tmp_path):
         worker.send_signal(signal.SIGKILL)
         time.sleep(generator.uniform(0.0, 0.2))
     wait_for_chunks(path, generator.randrange(4, 8))
-    os.killpg(running.pid, signal.SIGKILL)
+    for one in [*psutil.Process(running.pid).children(recursive=True), running]:
+        one.kill()
     running.wait()
     records = read_journal(path / "done").records
     done = sum(last - first for first, last in records)
