@@ -151,7 +151,7 @@ def run(
     part = None if shard is None else shard_of(shard)
     share = share_of(recheck)
     loaded = load_study(study, overrides or [])
-    path = store or Path(loaded.store.path or loaded.default_store())
+    path = loaded.folder(store)
     out.print(
         f"{loaded.study.name}  {counted(loaded.cases, 'case')}  ->  {path}", markup=False, soft_wrap=True
     )

@@ -18,6 +18,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from wavequake.campaign.store.objects import location
 from wavequake.errors import UserError
 from wavequake.user_files import read_bytes, read_text
 from wavequake.words import counted
@@ -170,7 +171,7 @@ class Study(Section):
         chosen = store if store not in (None, "") else self.store.path or self.default_store()
         if not isinstance(chosen, str | Path):
             raise UserError(f"The store is {chosen!r}; it must be the path of a folder, as text.")
-        return Path(chosen)
+        return location(chosen)
 
 
 Kind = TypeVar("Kind", bound=Study)

@@ -13,7 +13,14 @@ def folder_named(text: str) -> Path:
     """Return the folder of that name; raises UserError if it has none, which would be the current folder."""
     if not str(text).strip():
         raise UserError("--store is empty: give the path of a folder, or leave --store out.")
-    return Path(text)
+    return store_at(text)
+
+
+def store_at(text: str) -> Path:
+    """Return the place of a store: a folder, or s3://BUCKET/PREFIX."""
+    from wavequake.campaign.store.objects import location
+
+    return location(text)
 
 
 def complete_from(*words: str) -> Callable[[str], list[str]]:
@@ -27,7 +34,9 @@ def complete_from(*words: str) -> Callable[[str], list[str]]:
 
 StoreOption = Annotated[
     Path | None,
-    typer.Option("--store", parser=folder_named, metavar="FOLDER", help="Folder of the store (store.path)."),
+    typer.Option(
+        "--store", parser=folder_named, metavar="FOLDER", help="Folder of the store, or s3://BUCKET/PREFIX."
+    ),
 ]
 OnOption = Annotated[
     str,

@@ -13,6 +13,7 @@ from wavequake.commands.options import (
     OnOption,
     WorkersOption,
     complete_from,
+    store_at,
 )
 from wavequake.errors import UserError
 from wavequake.terminal import (
@@ -25,7 +26,9 @@ from wavequake.terminal import (
 )
 from wavequake.words import are, counted, unsaid
 
-StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
+StoreArgument = Annotated[
+    Path, typer.Argument(parser=store_at, metavar="STORE", help="Folder of the store, or s3://BUCKET/PREFIX.")
+]
 
 
 def _show_link(link: str) -> None:

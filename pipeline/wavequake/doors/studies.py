@@ -59,9 +59,10 @@ def report(store: str | Path, file: str | Path | None = None) -> Path:
     --------
     >>> report("runs/tmt-segments-1a2b3c4d")  # doctest: +SKIP
     """
+    from wavequake.campaign.store.objects import location
     from wavequake.report.campaign import report_store
 
-    return report_store(Path(store), None if file is None else Path(file))[1]
+    return report_store(location(store), None if file is None else Path(file))[1]
 
 
 def compare(first: str | Path, *others: str | Path, figure: str | Path | None = None) -> "pd.DataFrame":
@@ -199,9 +200,10 @@ def export(
     --------
     >>> export("runs/tmt-segments-1a2b3c4d", "tmt.csv")  # doctest: +SKIP
     """
+    from wavequake.campaign.store.objects import location
     from wavequake.report.campaign import export_store
 
-    return export_store(Path(store), Path(file), overwrite, case, instant)[0]
+    return export_store(location(store), Path(file), overwrite, case, instant)[0]
 
 
 def margins(study: str | Path, **overrides: Any) -> "pd.DataFrame":

@@ -9,6 +9,7 @@ from types import ModuleType
 from rich.table import Table
 
 from wavequake.campaign.store.layout import refuse_older
+from wavequake.campaign.store.objects import ObjectPath, location
 from wavequake.campaign.store.store import (
     ERRORS,
     open_for_report,
@@ -91,7 +92,7 @@ def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
     dataset, manifest = open_for_report(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
     report = _report_of(manifest.workflow)
-    if (Path(store) / ERRORS).exists():
+    if (location(store) / ERRORS).exists():
         from wavequake.report.answers.errors_shown import page_with_errors
         from wavequake.report.page import KNOWN_ERRORS  # what draws is slow to load
 
@@ -99,8 +100,12 @@ def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
     with _damage_named(store):
         path = report.write_report_of(store, dataset, target or report_path(store), device_at_hand(manifest))
         table = report.table_of(store, dataset)
-    with suppress(OSError), path.open("ab") as file:  # without it, the report is written again
-        file.write(as_comment(table) + shows)
+    with suppress(OSError):  # without it, the report is written again
+        if isinstance(path, ObjectPath):
+            path.write_bytes(path.read_bytes() + as_comment(table) + shows)
+        else:
+            with path.open("ab") as file:
+                file.write(as_comment(table) + shows)
     return table, path
 
 

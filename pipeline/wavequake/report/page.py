@@ -14,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from wavequake.campaign.store.objects import ObjectPath, location
 from wavequake.drawing.style import WIDTH, hover, svg_text, with_titles
 from wavequake.errors import UserError
 from wavequake.report.populations import Excluded
@@ -146,8 +147,11 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
 
 def write_page(text: str, path: str | Path) -> Path:
     """Write a report, whole or not at all, and return its absolute path; UserError if that fails."""
-    target = Path(path).resolve()
-    _write_whole(target, text)
+    target = location(path).resolve()
+    if isinstance(target, ObjectPath):
+        target.write_bytes(text.encode())
+    else:
+        _write_whole(target, text)
     return target
 
 

@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.campaign.store.folder import JOURNAL, REPORT
+from wavequake.campaign.store.objects import location, sizes
 
 _ATTRIBUTES = ("title", "title_justify", "caption", "caption_justify", "pad_edge", "show_header", "padding")
 _OF_COLUMNS = ("header", "justify", "overflow", "no_wrap", "style")
@@ -24,7 +25,7 @@ _TABLE = re.compile(rb"\n<!-- table (.*) -->\n")
 
 def report_path(store: Path) -> Path:
     """Return where the report of a store is."""
-    return Path(store) / REPORT
+    return location(store) / REPORT
 
 
 def is_current(store: Path) -> bool:
@@ -37,13 +38,13 @@ def is_current(store: Path) -> bool:
 
 def seal(store: Path) -> bytes:
     """Return the last line of a report: how much journal it shows. Times of files would trust clocks."""
-    size = sum(file.stat().st_size for file in (Path(store) / JOURNAL).glob("*.jsonl"))
+    size = sum(sizes(location(store) / JOURNAL, "*.jsonl").values())
     return b"\n<!-- of %d bytes of journal -->\n" % size
 
 
 def read_answer(report: Path) -> str:
     """Return the answer that a written report gives; empty where it has none."""
-    with open(report, encoding="utf-8") as file:
+    with report.open(encoding="utf-8") as file:
         found = re.search(r'<meta name="description" content="([^"]*)">', file.read(8192))
     return unescape(found[1]) if found else ""
 

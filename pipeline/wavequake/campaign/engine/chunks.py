@@ -9,6 +9,7 @@ import errno
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,6 +23,7 @@ from wavequake.campaign.stopwatch import CPU
 from wavequake.campaign.store import fence, journal
 from wavequake.campaign.store.arrays import Array, array_of, chunk_file, open_group, write_chunk
 from wavequake.campaign.store.journal import Chunk, Record
+from wavequake.campaign.store.objects import ObjectPath, location, versions
 from wavequake.campaign.store.retention import kept_result, kept_template, retention_of
 from wavequake.campaign.store.store import DATA, JOURNAL, Manifest, read_manifest, write_errors_explained
 from wavequake.errors import StoreDamageError, UserError
@@ -95,7 +97,7 @@ def opened_store(workflow: StudyKind, path: str, run: str) -> Opened:
     """Open the store once per process and run; a later run may have extended it."""
     keep_freed_memory()
     manifest = patiently(lambda: read_manifest(path))
-    group = patiently(lambda: open_group(Path(path) / DATA))
+    group = patiently(lambda: open_group(location(path) / DATA))
     arrays = {name: array_of(group, name) for name in manifest.variables}
     computed = workflow.template(manifest.study)
     return Opened(manifest, computed, kept_template(retention_of(manifest.study), computed), arrays)
@@ -125,7 +127,7 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
         If a guarded job would change a case that is done.
     """
     refuse_other_code(job)
-    patiently(lambda: fence.admit(Path(job.path), job.run))
+    patiently(lambda: fence.admit(location(job.path), job.run))
     return store_chunk(job, (first, last), *computed_chunk(job, first, last))
 
 
@@ -243,7 +245,7 @@ def joined(parts: Sequence[ChunkResult]) -> ChunkResult:
 
 def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -> Outcome:
     """Write the data of a chunk, and once it is on disk its record."""
-    opened, path = opened_store(job.workflow, job.path, job.run), Path(job.path)
+    opened, path = opened_store(job.workflow, job.path, job.run), location(job.path)
     result = replace(result, messages=tuple(shortened(printable(text)) for text in result.messages))
     codes = result.status.tolist()
     record = Record(
@@ -256,8 +258,8 @@ def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -
         epoch=job.epoch,
         settles=chunk[0] in job.settled,
     )
-    disk = _Disk(job, opened, result, record, compute_s)
-    with write_errors_explained(path), fence.writing(path, chunk[0]):
+    with write_errors_explained(path), fence.writing(path, chunk[0], job.run) as require:
+        disk = _Disk(job, path, opened, result, record, compute_s, require)
         for _ in commit(disk):
             pass
     return Outcome(chunk, disk.record.quarantined, compute_s, disk.write_s)
@@ -268,18 +270,17 @@ class _Disk:
     """What :func:`commit` does to the disk for one chunk."""
 
     job: Job
+    path: Path
     opened: Opened
     result: ChunkResult
     record: Record
     compute_s: float
+    require: Callable[[], None]
     write_s: float = 0.0
-
-    @property
-    def path(self) -> Path:
-        return Path(self.job.path)
 
     def admit(self) -> None:
         patiently(lambda: fence.admit(self.path, self.job.run))
+        patiently(self.require)
 
     def reopen(self) -> None:
         if self.job.guarded:
@@ -289,9 +290,19 @@ class _Disk:
         opened = replace(self.record, digests={}, counts=counts, failures={}, settles=False)
         patiently(lambda: journal.append(self.path / JOURNAL, opened))
 
+    @cached_property
+    def files(self) -> list[Path]:
+        data, arrays = self.path / DATA, self.opened.arrays.values()
+        return [chunk_file(data, array, self.record.first) for array in arrays]
+
+    @cached_property
+    def seen(self) -> dict[ObjectPath, str | None]:
+        return versions(file for file in self.files if isinstance(file, ObjectPath))
+
     def is_begun(self) -> bool:
-        arrays = self.opened.arrays.values()
-        return any(chunk_file(self.path / DATA, array, self.record.first).exists() for array in arrays)
+        if isinstance(self.path, ObjectPath):
+            return any(self.seen.values())
+        return any(file.exists() for file in self.files)
 
     def is_recorded(self) -> bool:
         if not self.is_begun():  # which spares a look at the whole journal
@@ -302,7 +313,8 @@ class _Disk:
 
     def write(self) -> Iterator[None]:
         start = time.perf_counter()
-        digests = patiently(lambda: write_chunk(self.opened.arrays, self.record.chunk, self.result))
+        what = (self.opened.arrays, self.record.chunk, self.result, self.admit, self.seen)
+        digests = patiently(lambda: write_chunk(*what))
         self.write_s = time.perf_counter() - start
         timings = {"compute_s": self.compute_s, "write_s": self.write_s, **self.result.timings}
         rounded = {name: round(seconds, 4) for name, seconds in timings.items()}

@@ -1,7 +1,6 @@
 """Have what a store lacks computed, here or by workers, and a share of all again."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 from wavequake.campaign.engine.chunks import Job
 from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated, renewed
@@ -10,6 +9,7 @@ from wavequake.campaign.engine.series import in_series, left_open, unmark
 from wavequake.campaign.engine.stream import limit_of, stream
 from wavequake.campaign.engine.tally import Tally
 from wavequake.campaign.store.journal import Chunk
+from wavequake.campaign.store.objects import location
 from wavequake.cluster.places import Opener
 
 
@@ -29,7 +29,7 @@ def compute(
         return limit_of(timeout_s, tally.chunk_seconds)
 
     if place is None:
-        path = Path(job.path)
+        path = location(job.path)
         died = left_open(path, todo)
         for piece in died:
             tally.log.warning(

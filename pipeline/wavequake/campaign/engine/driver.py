@@ -20,6 +20,7 @@ from wavequake.campaign.engine.tally import Progress, Tally
 from wavequake.campaign.store import fence, layout, store
 from wavequake.campaign.store import manifest as manifests
 from wavequake.campaign.store.journal import Chunk, read_journal, scan_journal
+from wavequake.campaign.store.objects import ObjectPath, guarded, location
 from wavequake.campaign.store.store import Manifest
 from wavequake.cluster.local import leave_if_imported_by_a_worker, prepare_workers
 from wavequake.cluster.places import elsewhere, place_of
@@ -170,15 +171,17 @@ def run_campaign(
         On Ctrl-C, with all workers gone; finished chunks stay, and the next run continues.
     """
     leave_if_imported_by_a_worker()
-    start, path = time.perf_counter(), Path(path).absolute()
+    start, path = time.perf_counter(), location(path).absolute()
     place = place_of(on, cluster)
     kind = choose_device(device).kind
-    with driver_lock(path, shard) as setup:
-        others = others_at_work(path, shard)
+    with driver_lock(path, shard) as (own, setup):
+        others = others_at_work(path, shard, own)
         _refuse_growth(path, cases, others)
         with store.write_errors_explained(path):
             run = fence.begin(path, str(shard or ""), others, _latest_epoch(path))
-        manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair, not others)
+        token = run.runs[str(shard or "")]
+        with guarded(path, lambda: fence.admit(path, token)):
+            manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair, not others)
         if not others:
             _sweep(path)
         setup.close()
@@ -205,8 +208,7 @@ def run_campaign(
                 manifests.refuse_mixed(path, manifest, provenance.code())
             code = provenance.code() if elsewhere(on) and not allow_mixed else ""
             settled = frozenset(first for first, _ in journal.contested)
-            key = str(shard or "")
-            job = Job(workflow, str(path), device, run.runs[key], code, retry, run.epoch, settled, key)
+            job = Job(workflow, str(path), device, token, code, retry, run.epoch, settled, str(shard or ""))
             with run_log(path / store.LOG) as tally.log:
                 tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
                 tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
@@ -284,5 +286,7 @@ def _refuse_growth(path: Path, cases: int, others: list[str]) -> None:
 
 def _sweep(path: Path) -> None:
     """Remove the unfinished files of writers that were killed; nobody else may be writing."""
+    if isinstance(path, ObjectPath):
+        return  # which has none
     for name in (path / store.DATA).rglob("*.partial"):
         name.unlink(missing_ok=True)

@@ -1,6 +1,7 @@
 """Who may work on a store: one run, or several that share its chunks (``--shard i/n``), and nobody twice.
 
-Locks are the kernel's (flock), so that they end with the process that holds them, however it ends.
+Locks are the kernel's (flock), so that they end with the process that holds them, however it ends. Object
+storage has leases instead (:mod:`wavequake.campaign.store.lease`), which end when their heartbeats do.
 """
 
 import os
@@ -12,9 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from wavequake.campaign.store import store
+from wavequake.campaign.store import lease, store
 from wavequake.campaign.store.folder import withdraw as withdraw_store
 from wavequake.campaign.store.journal import Chunk
+from wavequake.campaign.store.objects import ObjectPath
 from wavequake.errors import UserError
 from wavequake.posix import fcntl
 
@@ -56,11 +58,11 @@ def this_process() -> str:
 
 
 @contextmanager
-def driver_lock(path: Path, shard: Shard | None) -> Iterator[ExitStack]:
+def driver_lock(path: Path, shard: Shard | None) -> Iterator[tuple[str, ExitStack]]:
     """Hold a store, whose folder is made if need be, against other drivers.
 
     Runs of different shards hold it together. Until the yielded stack is closed, none of them is past this
-    point: that is the time to create or extend the store.
+    point: that is the time to create or extend the store. Beside it, the name of the lease is yielded.
 
     Raises
     ------
@@ -68,6 +70,11 @@ def driver_lock(path: Path, shard: Shard | None) -> Iterator[ExitStack]:
         If another driver is at work, or one with the same shard.
     """
     store.refuse_foreign(path)
+    words = f"a run of shard {shard}, {this_process()}" if shard else this_process()
+    if isinstance(path, ObjectPath):
+        with lease.held(path, str(shard or ""), words) as (own, ready), _leased(path, own):
+            yield own, ready
+        return
     with ExitStack() as held, ExitStack() as setup:
         was_there = os.path.exists(path)
         file = _held_file(path, shard, held)
@@ -78,11 +85,25 @@ def driver_lock(path: Path, shard: Shard | None) -> Iterator[ExitStack]:
                 folder.mkdir(exist_ok=True)
                 door = setup.enter_context((folder / _SETUP).open("a+", encoding="utf-8"))
                 fcntl.flock(door, fcntl.LOCK_EX)
-                own = held.enter_context(_file_of(folder, shard).open("a+", encoding="utf-8"))
-            _hold(own, fcntl.LOCK_EX, f"Shard {shard} of {path}")
-            _sign(own, path, this_process())
-        _sign(file, path, f"a run of shard {shard}, {this_process()}" if shard else this_process())
-        yield setup
+                mine = held.enter_context(_file_of(folder, shard).open("a+", encoding="utf-8"))
+            _hold(mine, fcntl.LOCK_EX, f"Shard {shard} of {path}")
+            _sign(mine, path, this_process())
+        _sign(file, path, words)
+        yield "", setup
+
+
+@contextmanager
+def _leased(path: ObjectPath, own: str) -> Iterator[None]:
+    """Take a store back that is made in here, if this ends in an error and nothing was computed."""
+    was_there = (path / store.MANIFEST).exists()
+    try:
+        yield
+    except BaseException:
+        if not was_there:
+            with suppress(OSError, UserError):
+                if not lease.others_of(path, own):
+                    withdraw_store(path)
+        raise
 
 
 def _held_file(path: Path, shard: Shard | None, held: ExitStack) -> IO[str]:
@@ -137,7 +158,7 @@ def _sign(file: IO[str], path: Path, words: str) -> None:
         os.write(file.fileno(), f"{words}\n".encode())  # nothing is left to write when the file is closed
 
 
-def others_at_work(path: Path, shard: Shard | None) -> list[str]:
+def others_at_work(path: Path, shard: Shard | None, own: str = "") -> list[str]:
     """Return the other shards, as texts i/n, that are being computed; the set-up must not be over yet.
 
     Raises
@@ -147,9 +168,12 @@ def others_at_work(path: Path, shard: Shard | None) -> list[str]:
     """
     if shard is None:
         return []
-    folder = path / store.SHARDS
-    files = [name for name in sorted(folder.glob("*-of-*.lock")) if name != _file_of(folder, shard)]
-    found = [name.stem.replace("-of-", "/") for name in files if _is_held(name)]
+    if isinstance(path, ObjectPath):
+        found = sorted(holder.shard for holder in lease.others_of(path, own).values())
+    else:
+        folder = path / store.SHARDS
+        files = [name for name in sorted(folder.glob("*-of-*.lock")) if name != _file_of(folder, shard)]
+        found = [name.stem.replace("-of-", "/") for name in files if _is_held(name)]
     for other in found:
         if not other.endswith(f"/{shard.count}"):
             raise UserError(

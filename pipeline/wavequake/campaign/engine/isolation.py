@@ -10,7 +10,6 @@ import signal
 import time
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 from wavequake.campaign.contract import CRASHED, TIMED_OUT, ChunkResult
 from wavequake.campaign.engine.chunks import (
@@ -24,6 +23,7 @@ from wavequake.campaign.engine.chunks import (
     store_chunk,
 )
 from wavequake.campaign.store import fence
+from wavequake.campaign.store.objects import location
 from wavequake.cluster.local import GUARDED, interrupts_blocked, memory_limit, worker_environment
 from wavequake.cluster.output import redirect
 from wavequake.errors import UserError
@@ -47,7 +47,7 @@ class _End:
 
 def renewed(job: Job) -> Job:
     """Begin anew, so that the workers of the job until now are shut out."""
-    run = fence.begin(Path(job.path), job.shard, None, 0)
+    run = fence.begin(location(job.path), job.shard, None, 0)
     return replace(job, run=run.runs[job.shard], epoch=run.epoch)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from wavequake.campaign.contract import RAISED, STATUS_MEANINGS, StudyKind
 from wavequake.campaign.engine.driver import CampaignSummary, run_campaign
 from wavequake.campaign.store.journal import read_journal
+from wavequake.campaign.store.objects import location
 from wavequake.campaign.store.store import JOURNAL, done_records, read_manifest
 from wavequake.errors import UserError
 
@@ -52,7 +53,7 @@ def retry_store(
     StoreDamageError
         If a case of these chunks that was done comes out with other numbers; then it keeps the old ones.
     """
-    path = Path(path)
+    path = location(path)
     manifest = read_manifest(path)
     records = done_records(manifest, read_journal(path / JOURNAL))
     chunks = {

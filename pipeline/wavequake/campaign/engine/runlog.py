@@ -2,12 +2,15 @@
 
 import logging
 import os
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from wavequake.campaign.store.objects import ObjectPath, upload
 from wavequake.cluster.output import OUTPUT
+from wavequake.errors import UserError
 from wavequake.words import printable, shortened
 
 _MOST_LINES = 1000  # of what workers print, in a log
@@ -44,6 +47,10 @@ def run_log(folder: Path) -> Iterator[logging.Logger]:
     logger = logging.Logger("wavequake.run")  # of this run alone: no global state
     start = datetime.now(UTC)
     handler: logging.Handler = logging.NullHandler()
+    target = folder
+    scratch = ExitStack()
+    if isinstance(target, ObjectPath):
+        folder = Path(scratch.enter_context(tempfile.TemporaryDirectory(prefix="wavequake-")))
     file = folder / f"{start:%Y%m%dT%H%M%SZ}-{os.getpid()}.log"
     try:
         folder.mkdir(exist_ok=True)
@@ -65,6 +72,9 @@ def run_log(folder: Path) -> Iterator[logging.Logger]:
     finally:
         logger.removeHandler(handler)
         handler.close()
+        with scratch, suppress(OSError, UserError):  # what cannot be written, the data have said
+            if isinstance(target, ObjectPath):
+                upload(folder, target)
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from queue import Empty, SimpleQueue
 from wavequake.campaign.contract import ChunkResult
 from wavequake.campaign.engine.chunks import Job, Outcome, computed_chunk, store_chunk
 from wavequake.campaign.store.journal import Chunk
+from wavequake.campaign.store.objects import location
 from wavequake.campaign.store.store import JOURNAL, write_errors_explained
 from wavequake.prepared import one_thread
 
@@ -43,7 +44,7 @@ def in_series(
     try:
         with one_thread():  # also if a thread that was given up restores what it found
             for piece in todo:
-                with _marked(Path(job.path), piece):
+                with _marked(location(job.path), piece):
                     tasks.put(piece)
                     answer = _awaited(answers, limit())
                 if answer is None:

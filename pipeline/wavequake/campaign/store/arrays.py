@@ -2,15 +2,18 @@
 
 Every array of numbers per case is cut along ``case`` into pieces of K cases, one file each. Reading a file
 that is missing or empty gives fill values without any error, so that only the journal can say what was
-written.
+written. In object storage they are read through fsspec; what is written there is encoded first, and then put
+by :mod:`wavequake.campaign.store.objects`.
 """
 
 import asyncio
+import atexit
 import os
 import uuid
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import lru_cache
 from math import prod
 from pathlib import Path
 from typing import Any, cast
@@ -21,13 +24,14 @@ import zarr
 from numpy.typing import NDArray
 from zarr.abc.codec import BytesBytesCodec
 from zarr.codecs import Crc32cCodec, ZstdCodec
-from zarr.core.buffer import Buffer
+from zarr.core.buffer import Buffer, default_buffer_prototype
 from zarr.core.sync import sync
 from zarr.errors import ZarrUserWarning
-from zarr.storage import LocalStore
+from zarr.storage import FsspecStore, LocalStore, MemoryStore
 
 from wavequake.campaign.contract import ChunkResult, Variable
 from wavequake.campaign.store.journal import Chunk, digest, flush
+from wavequake.campaign.store.objects import ObjectPath, file_system, location, write
 from wavequake.errors import StoreDamageError
 
 Array = zarr.Array[Any]
@@ -84,6 +88,26 @@ def missing_reads_as_fill() -> Iterator[None]:
         yield
 
 
+def zarr_store(folder: Path, *, read_only: bool = False) -> FsspecStore | DurableStore:
+    """Return zarr's store of a folder; of objects one that reads."""
+    if isinstance(folder, ObjectPath):
+        return FsspecStore(_reader(), True, f"{folder.bucket}/{folder.key}")
+    return DurableStore(folder, read_only=read_only)
+
+
+@lru_cache(maxsize=1)
+def _reader() -> Any:
+    found = file_system(asynchronous=True)
+
+    def close() -> None:
+        if client := getattr(found, "_s3creator", None):
+            with suppress(Exception):
+                sync(client.__aexit__(None, None, None), timeout=1.0)
+
+    atexit.register(close)  # or connections that are open at the end are complained of
+    return found
+
+
 def create_group(folder: Path, attributes: dict[str, Any]) -> zarr.Group:
     """Create the group that holds the arrays of a store."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -93,8 +117,9 @@ def create_group(folder: Path, attributes: dict[str, Any]) -> zarr.Group:
 def open_group(folder: Path, *, read_only: bool = False) -> zarr.Group:
     """Open the arrays of a store; raises StoreDamageError if their metadata is damaged."""
     with damage_explained(folder):
-        store = DurableStore(folder, read_only=read_only)
-        return zarr.open_group(store, mode="r" if read_only else "r+", zarr_format=3, use_consolidated=False)
+        store = zarr_store(folder, read_only=read_only)
+        mode: Any = "r" if store.read_only else "r+"
+        return zarr.open_group(store, mode=mode, zarr_format=3, use_consolidated=False)
 
 
 def consolidate(folder: Path) -> None:
@@ -167,13 +192,20 @@ def chunk_file(folder: Path, array: Array, first: int) -> Path:
     return folder / array.basename / ".".join(["c", str(first // size), *["0"] * (array.ndim - 1)])
 
 
-def write_chunk(arrays: Mapping[str, Array], chunk: Chunk, result: ChunkResult) -> dict[str, str]:
+def write_chunk(
+    arrays: Mapping[str, Array],
+    chunk: Chunk,
+    result: ChunkResult,
+    allowed: Callable[[], None] = lambda: None,
+    seen: Mapping[ObjectPath, str | None] | None = None,
+) -> dict[str, str]:
     """Write the numbers of one chunk, each array in one file and the status last; return their digests.
 
     The arrays are written at the same time: one after the other, most of the time would go to waiting.
 
     Only a whole piece may be written: two writers of one file would lose each other's cases without any
-    error.
+    error. In object storage, `allowed` is asked before arrays are written over what was there before,
+    of which `seen` are the versions.
     """
     first, last = chunk
     values = _values(result)
@@ -184,7 +216,7 @@ def write_chunk(arrays: Mapping[str, Array], chunk: Chunk, result: ChunkResult) 
                 f"cases {first} to {last} are not one piece of {name!r} ({array.shape[0]} cases, K = {size})"
             )
 
-    async def write(names: Iterable[str]) -> None:
+    async def write_files(names: Iterable[str]) -> None:
         ends = await asyncio.gather(
             *(_write(arrays[name], first, last, values[name]) for name in names),
             return_exceptions=True,  # none is under way any more when this returns
@@ -192,8 +224,13 @@ def write_chunk(arrays: Mapping[str, Array], chunk: Chunk, result: ChunkResult) 
         for error in filter(None, ends):
             raise error
 
-    sync(write(arrays.keys() - {"status"}))
-    sync(write(arrays.keys() & {"status"}))
+    for names in (arrays.keys() - {"status"}, arrays.keys() & {"status"}):
+        if isinstance(next(iter(arrays.values())).store, DurableStore):
+            sync(write_files(names))
+        else:
+            chosen = {name: arrays[name] for name in sorted(names)}
+            files = {_object(one, first): _encoded(one, chunk, values[name]) for name, one in chosen.items()}
+            write(files, allowed, seen)
     return {name: digest(values[name]) for name in arrays}
 
 
@@ -209,11 +246,38 @@ def _values(result: ChunkResult) -> dict[str, NDArray[Any]]:
 
 async def _write(array: Array, first: int, last: int, values: NDArray[Any]) -> None:
     """Write whole cases; a whole piece without zarr, whose many small steps take longer than the disk."""
-    plain = (array.shards, array.filters, array.compressors) == (None, (), (Crc32cCodec(),))
-    if not plain or array.dtype.kind in "OUT" or last - first != array.chunks[0]:
+    if not _is_plain(array, last - first):
         await array.async_array.setitem(slice(first, last), values)
         return
-    content = np.ascontiguousarray(values, dtype=array.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)
-    parts = [content.data, google_crc32c.value(content).to_bytes(4, "little")]
     folder = cast(DurableStore, array.store).root
-    await asyncio.to_thread(_put, chunk_file(folder, array, first), parts)
+    await asyncio.to_thread(_put, chunk_file(folder, array, first), _plain_parts(array, values))
+
+
+def _is_plain(array: Array, cases: int) -> bool:
+    plain = (array.shards, array.filters, array.compressors) == (None, (), (Crc32cCodec(),))
+    return plain and array.dtype.kind not in "OUT" and cases == array.chunks[0]
+
+
+def _plain_parts(array: Array, values: NDArray[Any]) -> list[bytes | memoryview]:
+    content = np.ascontiguousarray(values, dtype=array.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)
+    return [content.data, google_crc32c.value(content).to_bytes(4, "little")]
+
+
+def _object(array: Array, first: int) -> ObjectPath:
+    folder = location(f"s3://{cast(FsspecStore, array.store).path}")
+    return cast(ObjectPath, chunk_file(folder, array, first))
+
+
+def _encoded(array: Array, chunk: Chunk, values: NDArray[Any]) -> bytes:
+    """Return the bytes of the file that holds whole cases, also of messages that are all empty.
+
+    Nothing is deleted in object storage, so what an earlier run said of these cases is written over.
+    """
+    first, last = chunk
+    if _is_plain(array, last - first):
+        return b"".join(_plain_parts(array, values))
+    written = dict(array.metadata.to_buffer_dict(default_buffer_prototype()))
+    copy = zarr.open_array(MemoryStore(written), mode="r+", zarr_format=3)
+    copy.with_config({"write_empty_chunks": True})[first:last] = values
+    (content,) = (buffer.to_bytes() for key, buffer in written.items() if key != "zarr.json")
+    return content

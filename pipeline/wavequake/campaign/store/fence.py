@@ -3,7 +3,9 @@
 A worker may outlive its run: it was stopped, or cut off by the network, and goes on when another run has
 extended the store or computed its chunk. So every run has a token, which its writers look up before and after
 they write; they do so under a lock of their chunk, and a run begins under the locks of all. Where a file
-system has no locks, looking up still leaves but the moment of the write itself.
+system has no locks, looking up still leaves but the moment of the write itself. Object storage has none
+either, but conditional writes: a writer claims its chunk, and writes over what was there before it was last
+told that the claim and its run hold.
 
 Each run also has an epoch, one more than that of the run before. Records carry it, and the later one holds:
 clocks of machines differ, and jump.
@@ -15,15 +17,16 @@ import os
 import struct
 import time
 import uuid
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from wavequake.campaign.store.objects import ObjectPath, change, get, put
 from wavequake.errors import UserError
 from wavequake.posix import fcntl
 
-FENCE, WRITERS = "fence.json", "writers.lock"
+FENCE, WRITERS, CLAIMS = "fence.json", "writers.lock", "claims"
 _WAIT_S, _LOOK_S = 60.0, 0.01
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 _ALL = (0, 0)
@@ -55,9 +58,16 @@ def admits(fence: Fence, token: str) -> bool:
 def read_fence(path: Path) -> Fence | None:
     """Return the fence of a store; None if there is none, or it is damaged."""
     try:
-        entry = json.loads((path / FENCE).read_text(encoding="utf-8"))
+        return _parsed((path / FENCE).read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return None
+
+
+def _parsed(text: str | bytes) -> Fence | None:
+    try:
+        entry = json.loads(text)
         epoch, runs = entry["epoch"], entry["runs"]
-    except (FileNotFoundError, NotADirectoryError, ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         return None
     sound = type(epoch) is int and 0 < epoch < 2**53 and isinstance(runs, dict)
     return Fence(epoch, {str(k): str(v) for k, v in runs.items()}) if sound else None
@@ -86,19 +96,30 @@ def begin(
     UserError
         If a writer does not come to its end.
     """
+    token = uuid.uuid4().hex
+
+    def shut_now(before: Fence) -> Fence:
+        return shut(Fence(max(before.epoch, least), before.runs), shard, others, token)
+
+    if isinstance(path, ObjectPath):  # writers under way find that what they write over has changed
+        text = change(path / FENCE, lambda old: _text(shut_now(_parsed(old or b"") or Fence())))
+        return _parsed(text) or Fence()
     with _locked(path, _ALL, wait_s):
-        before = read_fence(path) or Fence()
-        fence = shut(Fence(max(before.epoch, least), before.runs), shard, others, uuid.uuid4().hex)
+        fence = shut_now(read_fence(path) or Fence())
         partial = path / f"{FENCE}.partial-{uuid.uuid4().hex}"
         try:
-            with partial.open("w", encoding="utf-8") as file:
-                json.dump(asdict(fence), file)
+            with partial.open("wb") as file:
+                file.write(_text(fence))
                 file.flush()
                 os.fsync(file.fileno())
             partial.replace(path / FENCE)
         finally:
             partial.unlink(missing_ok=True)
     return fence
+
+
+def _text(fence: Fence) -> bytes:
+    return json.dumps(asdict(fence)).encode()
 
 
 def admit(path: Path, token: str) -> None:
@@ -110,10 +131,36 @@ def admit(path: Path, token: str) -> None:
 
 
 @contextmanager
-def writing(path: Path, first: int) -> Iterator[None]:
-    """Keep runs from beginning, and others from this chunk, while this process writes and records it."""
+def writing(path: Path, first: int, token: str = "") -> Iterator[Callable[[], None]]:
+    """Keep runs from beginning, and others from this chunk, while this process writes and records it.
+
+    What is yielded raises ShutOutError if this process may no longer write the chunk. In object storage
+    nobody is kept from anything, and another writer of the chunk takes it over.
+    """
+    if isinstance(path, ObjectPath):
+        yield _claimed(path / CLAIMS / str(first), lambda: admit(path, token))
+        return
     with _locked(path, (first, 1), _WAIT_S):
-        yield
+        yield lambda: None
+
+
+def _claimed(claim: ObjectPath, admitted: Callable[[], None]) -> Callable[[], None]:
+    """Claim a chunk for this writer, from whoever has it; return what raises when another one has."""
+    owner = uuid.uuid4().hex.encode()
+    found = get(claim)
+    admitted()
+    while not put(claim, owner, found and found[1]):
+        found = get(claim)
+        if found and found[0] == owner:
+            break
+        admitted()  # asked after the look: a later run's claim is another version
+
+    def require() -> None:
+        found = get(claim)
+        if found is None or found[0] != owner:
+            raise ShutOutError(f"{claim}: another worker of this run, or a later run, writes these cases.")
+
+    return require
 
 
 @contextmanager

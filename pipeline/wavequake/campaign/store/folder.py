@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from wavequake.campaign.store.fence import FENCE, WRITERS
+from wavequake.campaign.store.fence import CLAIMS, FENCE, WRITERS
+from wavequake.campaign.store.lease import BEATS
+from wavequake.campaign.store.objects import ObjectPath, remove
 from wavequake.errors import UserError
 
 MANIFEST, DATA, JOURNAL, LOCK, REPORT = "manifest.json", "data.zarr", "done", "lock", "report.html"
@@ -50,12 +52,28 @@ def write_errors_explained(path: Path) -> Iterator[None]:
 def refuse_foreign(path: Path) -> None:
     """Raise UserError if `path` is a file, or a folder of something else than a store."""
     with write_errors_explained(path):
-        names = sorted(os.listdir(path)) if path.exists() else []
+        names = sorted(file.name for file in path.iterdir()) if path.exists() else []
     if not names or MANIFEST in names:
         return
-    # Where we wrote data, we had made the journal's folder before: other data are somebody else's.
-    ours = [MANIFEST, JOURNAL, LOCK, REPORT, SENSITIVITY, BUDGET, ERRORS, LOG, SHARDS, FENCE, WRITERS]
-    ours += [DATA] if JOURNAL in names else []
+    # Where we wrote data, we had made the journal's folder before, and of objects the fence: other data are
+    # somebody else's.
+    marked = JOURNAL in names or (isinstance(path, ObjectPath) and FENCE in names)
+    ours = [
+        MANIFEST,
+        JOURNAL,
+        LOCK,
+        REPORT,
+        SENSITIVITY,
+        BUDGET,
+        ERRORS,
+        LOG,
+        SHARDS,
+        FENCE,
+        WRITERS,
+        CLAIMS,
+        BEATS,
+    ]
+    ours += [DATA] if marked else []
     foreign = [name for name in names if name.split(".partial")[0] not in ours]
     if DATA in names and any((path / JOURNAL).glob("*.jsonl")):
         raise UserError(
@@ -72,6 +90,9 @@ def withdraw(path: Path) -> None:
     if any((path / JOURNAL).glob("*.jsonl")):
         return
     (path / MANIFEST).unlink(missing_ok=True)
+    if isinstance(path, ObjectPath):
+        remove(path)
+        return
     for name in (DATA, JOURNAL, LOG, SHARDS):  # the journal's folder says that the data were ours
         shutil.rmtree(path / name, ignore_errors=True)
     for name in (FENCE, WRITERS, LOCK):

@@ -2,7 +2,7 @@
 
 Every process appends to a file of its own, so that no two writers share one. A process may die in the middle
 of a line: each record begins with a line feed and ends with a checksum, and lines that are no complete record
-are skipped and counted.
+are skipped and counted. In object storage, where nothing can be appended to, each record is an object.
 """
 
 import errno
@@ -12,7 +12,7 @@ import os
 import socket
 import time
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from itertools import combinations
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE, STATUS_MEANINGS, TODO
+from wavequake.campaign.store.objects import ObjectPath, create, get_each
 from wavequake.errors import StoreDamageError
 
 # Text of exceptions may hold addresses, and a stopwatch reads otherwise in every run: neither is a number of
@@ -115,10 +116,13 @@ def append(folder: Path, record: Record) -> None:
     OSError
         If the disk is full or cannot be written.
     """
-    path = _own_file(str(folder), os.getpid())
-    fresh = not path.exists()
     text = json.dumps(asdict(record), separators=(",", ":")).encode()
     line = b"\n%s %s\n" % (text, _checksum(text))
+    if isinstance(folder, ObjectPath):
+        create(folder / f"{record.first}-{record.last}-{uuid.uuid4().hex}.jsonl", line)
+        return
+    path = _own_file(str(folder), os.getpid())
+    fresh = not path.exists()
     handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     try:
         if os.write(handle, line) != len(line):
@@ -162,20 +166,30 @@ def scan_journal(folder: Path) -> Journal:
     """Read every record of a store, also where some contradict each other; of those chunks none holds."""
     records: list[Record] = []
     torn = 0
+    for line in _lines(folder):
+        if line.strip():
+            record = _parse(line.strip())
+            records += [record] if record else []
+            torn += record is None
+    return judged(records, torn)
+
+
+def _lines(folder: Path) -> Iterator[bytes]:
+    if isinstance(folder, ObjectPath):
+        for found in get_each([*folder.glob("*.jsonl")]):
+            yield from found[0].split(b"\n") if found else ()
+        return
     for path in _files(folder):
         with path.open("rb") as file:
             while line := file.readline(_LONGEST):
-                if line.strip():
-                    record = _parse(line.strip())
-                    records += [record] if record else []
-                    torn += record is None
-    return judged(records, torn)
+                yield line
 
 
 def record_of(folder: Path, chunk: Chunk, epoch: int) -> Record | None:
     """Return the record that a run has made of a chunk, if there is one; parses no other lines."""
     sign = b'{"first":%d,"last":%d,' % chunk
-    for path in _files(folder):
+    of_chunk = "{}-{}-*.jsonl".format(*chunk)
+    for path in folder.glob(of_chunk) if isinstance(folder, ObjectPath) else _files(folder):
         content = path.read_bytes()
         place = content.find(sign)
         while place >= 0:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import tempfile
 import uuid
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -21,6 +22,7 @@ from wavequake.campaign.store.engine_variables import ENGINE_VARIABLES, MESSAGE
 from wavequake.campaign.store.folder import DATA, write_errors_explained
 from wavequake.campaign.store.journal import Chunk, Record, flush
 from wavequake.campaign.store.manifest import MOST_CASES, Manifest, write_manifest
+from wavequake.campaign.store.objects import ObjectPath, presence, upload
 from wavequake.campaign.store.retention import stored_template
 from wavequake.errors import StoreDamageError, UserError
 
@@ -42,6 +44,9 @@ def refuse_older(path: Path, manifest: Manifest, kind_of: Callable[[str], StudyK
 
 def write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:
     """Write everything of the zarr folder that no chunk writes: metadata, labels, fixed arrays."""
+    if isinstance(folder, ObjectPath):
+        _uploaded(folder, manifest, workflow)
+        return
     from wavequake.campaign.store import arrays  # zarr is slow to load, and only this needs it
 
     template = stored_template(workflow, manifest.study)
@@ -55,6 +60,13 @@ def write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:
     for name, values in labels.items():
         arrays.create_fixed(group, name, ("case",), values, {"long_name": name.replace("_", " ")})
     arrays.consolidate(folder)
+
+
+def _uploaded(folder: ObjectPath, manifest: Manifest, workflow: StudyKind) -> list[str]:
+    """Write what differs from a layout that is made on this machine; return the names of its files."""
+    with tempfile.TemporaryDirectory(prefix="wavequake-") as scratch:
+        write_layout(Path(scratch) / DATA, manifest, workflow)
+        return upload(Path(scratch) / DATA, folder)
 
 
 def _refuse_two_of_a_name(template: Template, labels: Mapping[str, NDArray[Any]]) -> None:
@@ -104,6 +116,7 @@ def metadata_digest(data: Path) -> str:
 
 
 def _lost_files(data: Path, entries: Mapping[str, dict[str, Any]], manifest: Manifest) -> list[Path]:
+    there = presence(data)
     lost = [
         data / name / "zarr.json" for name, entry in entries.items() if not _fits(data, name, entry, manifest)
     ]
@@ -114,7 +127,7 @@ def _lost_files(data: Path, entries: Mapping[str, dict[str, Any]], manifest: Man
             continue
         grid = [-(-size // piece) for size, piece in zip(sizes, pieces, strict=True)]
         files = [data / name / ".".join(["c", *map(str, index)]) for index in np.ndindex(*grid)]
-        lost += [file for file in files if not file.is_file() or not file.stat().st_size]
+        lost += [file for file in files if not there(file)]
     return sorted(lost)
 
 
@@ -162,6 +175,7 @@ def lost_chunks(path: Path, manifest: Manifest, records: Mapping[Chunk, Record])
     if not records:
         return frozenset()
     data, lost = path / DATA, set()
+    there = presence(data)
     entries = _consolidated(data)
     try:
         grids = {
@@ -170,7 +184,7 @@ def lost_chunks(path: Path, manifest: Manifest, records: Mapping[Chunk, Record])
         for chunk, record in records.items():
             written = manifest.variables if record.has_messages else [one for one in grids if one != MESSAGE]
             files = (data / name / _piece(record.first, grids[name]) for name in written)
-            if any(not file.is_file() or not file.stat().st_size for file in files):
+            if not all(map(there, files)):
                 lost.add(chunk)
     except (KeyError, TypeError, IndexError, ZeroDivisionError) as error:
         raise StoreDamageError(f"{data / 'zarr.json'} is damaged: {error}.") from None
@@ -187,6 +201,10 @@ def mend_layout(path: Path, manifest: Manifest, workflow: StudyKind) -> list[str
 
     Chunks of numbers are left alone. Returns the names of the files that were replaced.
     """
+    if isinstance(path, ObjectPath):
+        changed = _uploaded(path / DATA, manifest, workflow)
+        _sealed_layout(path, manifest)
+        return [f"{DATA}/{name}" for name in changed]
     fresh = path / f"{DATA}.partial-{uuid.uuid4().hex}"
     replaced = []
     with write_errors_explained(path):
@@ -199,12 +217,16 @@ def mend_layout(path: Path, manifest: Manifest, workflow: StudyKind) -> list[str
                     file.replace(target)
                     flush(target.parent)
                     replaced.append(str(target.relative_to(path)))
-            fresh_digest = metadata_digest(path / DATA)
-            if manifest.metadata != fresh_digest:
-                write_manifest(path, replace(manifest, metadata=fresh_digest))
+            _sealed_layout(path, manifest)
         finally:
             shutil.rmtree(fresh, ignore_errors=True)
     return replaced
+
+
+def _sealed_layout(path: Path, manifest: Manifest) -> None:
+    fresh_digest = metadata_digest(path / DATA)
+    if manifest.metadata != fresh_digest:
+        write_manifest(path, replace(manifest, metadata=fresh_digest))
 
 
 def labels_of(workflow: StudyKind, study: str, first: int, last: int) -> dict[str, NDArray[Any]]:

@@ -14,6 +14,7 @@ from wavequake.campaign.store.difference import first_difference
 from wavequake.campaign.store.engine_variables import ENGINE_VARIABLES
 from wavequake.campaign.store.folder import BUDGET, MANIFEST, SENSITIVITY
 from wavequake.campaign.store.journal import Chunk, flush
+from wavequake.campaign.store.objects import ObjectPath, location, write
 from wavequake.errors import StoreDamageError, UserError
 
 SCHEMA = 1
@@ -49,10 +50,14 @@ class Manifest:
 
 def write_manifest(path: Path, manifest: Manifest) -> None:
     """Write or replace the manifest of a store, durably and at once."""
+    text = json.dumps(sealed(asdict(manifest)), indent=1)
+    if isinstance(path, ObjectPath):
+        write({path / MANIFEST: text.encode()})
+        return
     partial = path / f"{MANIFEST}.partial-{uuid.uuid4().hex}"
     try:
         with partial.open("w", encoding="utf-8") as file:
-            json.dump(sealed(asdict(manifest)), file, indent=1)
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path / MANIFEST)
@@ -71,9 +76,10 @@ def read_manifest(path: Path | str) -> Manifest:
     StoreDamageError
         If the manifest is damaged.
     """
-    file = Path(path) / MANIFEST
+    path = location(path)
+    file = path / MANIFEST
     if not file.is_file():
-        kept = [name for name in (BUDGET, SENSITIVITY) if (Path(path) / name).exists()]
+        kept = [name for name in (BUDGET, SENSITIVITY) if (path / name).exists()]
         if kept:
             raise UserError(
                 f"{path} has no runs to report, but {' and '.join(kept)} (xarray.open_zarr reads it): "
@@ -102,7 +108,8 @@ def read_manifest(path: Path | str) -> Manifest:
 
 def _text(file: Path) -> str:
     with file.open("rb") as content:
-        size = os.fstat(content.fileno()).st_size
+        size = content.seek(0, os.SEEK_END)
+        content.seek(0)
         if size > _LONGEST:
             raise ValueError(f"it is longer than {_LONGEST >> 20} MiB")
         return content.read(size + 1).decode()  # reading takes the memory that it is allowed

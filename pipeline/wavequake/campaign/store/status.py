@@ -7,6 +7,7 @@ from pathlib import Path
 
 from wavequake.campaign.contract import STATUS_MEANINGS
 from wavequake.campaign.store.journal import read_journal
+from wavequake.campaign.store.objects import location
 from wavequake.campaign.store.store import JOURNAL, Manifest, done_records, read_manifest
 from wavequake.words import counted
 
@@ -74,7 +75,7 @@ def store_status(path: Path | str) -> StoreStatus:
     StoreDamageError
         If its manifest is damaged or its journal contradicts itself.
     """
-    path = Path(path)
+    path = location(path)
     manifest = read_manifest(path)
     journal = read_journal(path / JOURNAL)
     done = done_records(manifest, journal)

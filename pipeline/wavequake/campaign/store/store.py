@@ -33,6 +33,7 @@ from wavequake.campaign.store.manifest import SCHEMA, why_too_many, write_manife
 from wavequake.campaign.store.manifest import Manifest as Manifest
 from wavequake.campaign.store.manifest import read_manifest as read_manifest
 from wavequake.campaign.store.manifest import refuse_other as refuse_other
+from wavequake.campaign.store.objects import ObjectPath, location, remove
 from wavequake.campaign.store.retention import stored_template
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
@@ -72,7 +73,7 @@ def create_store(
     UserError
         If `path` is a file, holds something else, or cannot be written.
     """
-    path = Path(path)
+    path = location(path)
     if cases < 1 or chunk < 1:
         raise UserError(
             f"A store needs at least one case (campaign.cases is {cases}) "
@@ -97,8 +98,11 @@ def create_store(
     )
     with write_errors_explained(path):
         path.mkdir(parents=True, exist_ok=True)
-        if (path / DATA).exists():  # left by a creation that did not reach its manifest
-            shutil.rmtree(path / DATA)
+        data = path / DATA
+        if isinstance(data, ObjectPath):
+            remove(data)
+        elif data.exists():  # left by a creation that did not reach its manifest
+            shutil.rmtree(data)
         (path / JOURNAL).mkdir(exist_ok=True)
         write_layout(path / DATA, manifest, workflow)
         manifest = replace(manifest, metadata=metadata_digest(path / DATA))
@@ -116,7 +120,7 @@ def extend_store(path: Path | str, workflow: StudyKind, cases: int) -> Manifest:
     UserError
         If there is no store at `path`, or it cannot be written.
     """
-    path = Path(path)
+    path = location(path)
     manifest = read_manifest(path)
     extended = replace(manifest, cases=max(cases, manifest.cases))
     if too_many := why_too_many(extended.cases, extended.chunk):
@@ -125,6 +129,10 @@ def extend_store(path: Path | str, workflow: StudyKind, cases: int) -> Manifest:
         (path / JOURNAL).mkdir(exist_ok=True)
     if extended == manifest and has_room(path / DATA, manifest):
         return manifest
+    if isinstance(path, ObjectPath):
+        write_layout(path / DATA, extended, workflow)
+        write_manifest(path, extended)
+        return extended
     from wavequake.campaign.store import arrays  # zarr is slow to load
 
     labels = labels_of(workflow, manifest.study, manifest.cases, extended.cases)
@@ -198,13 +206,15 @@ def _labelled(path: Path | str) -> "tuple[Manifest, xr.Dataset]":
 
     if not isinstance(path, str | Path):
         raise UserError(f"The store is {path!r}; it must be the path of a folder, as text.")
-    path = Path(path)
+    path = location(path)
     manifest = read_manifest(path)
     group = arrays.open_group(path / DATA, read_only=True)
     for name in manifest.variables:
         arrays.array_of(group, name)
     with arrays.damage_explained(path / DATA), arrays.missing_reads_as_fill():
-        dataset = xr.open_zarr(path / DATA, chunks=None, consolidated=False).isel(case=slice(manifest.cases))
+        place = group.store if isinstance(path, ObjectPath) else path / DATA
+        found = xr.open_zarr(place, chunks=None, consolidated=False)
+        dataset = found.isel(case=slice(manifest.cases))
     others = [name for name in dataset.data_vars if name not in manifest.variables]
     return manifest, dataset[[*manifest.variables, *others]]
 

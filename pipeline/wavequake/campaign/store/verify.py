@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import zarr
 
-from wavequake.campaign.store.arrays import Array, DurableStore, chunk_file
+from wavequake.campaign.store.arrays import Array, chunk_file, zarr_store
 from wavequake.campaign.store.engine_variables import MESSAGE
 from wavequake.campaign.store.journal import Chunk, Journal, Record, digest, read_journal
 from wavequake.campaign.store.layout import lost_layout
+from wavequake.campaign.store.objects import ObjectPath, location, presence
 from wavequake.campaign.store.store import DATA, JOURNAL, Manifest, done_records, read_manifest
 from wavequake.words import counted
 
@@ -103,7 +104,7 @@ def verify_store(path: Path | str) -> VerifyReport:
     StoreDamageError
         If its manifest is damaged, or its journal contradicts itself.
     """
-    path = Path(path)
+    path = location(path)
     return examined(path, read_manifest(path), read_journal(path / JOURNAL))
 
 
@@ -112,14 +113,14 @@ def examined(path: Path, manifest: Manifest, journal: Journal) -> VerifyReport:
     records = done_records(manifest, journal)
     data, lost = path / DATA, lost_layout(path, manifest)
     layout = [f"{file}: it is missing, empty or changed" for file in lost]
-    arrays = _opened(data, manifest.variables)
+    arrays, there = _opened(data, manifest.variables), presence(data)
     others = {folder.name for folder in data.glob("*/")} - {*manifest.variables}
     labels = sorted(others - {file.parent.name for file in lost})
     damaged = [
-        Damage(name, *record.chunk, reason, chunk_file(path / DATA, array, record.first))
+        Damage(name, *record.chunk, reason, chunk_file(data, array, record.first))
         for record in records.values()
         for name, array in arrays.items()
-        if (reason := _damage(path, array, record))
+        if (reason := _damage(array, record, there(chunk_file(data, array, record.first))))
     ]
     layout += [
         f"{data / name}: {reason}"
@@ -128,7 +129,8 @@ def examined(path: Path, manifest: Manifest, journal: Journal) -> VerifyReport:
     ]
     unchecked = tuple(name for name in manifest.variables if name not in arrays)
     missing = tuple(chunk for chunk in manifest.plan() if chunk not in records)
-    extra = tuple(sorted(str(file.relative_to(path)) for file in data.rglob("*.partial")))
+    partial = () if isinstance(data, ObjectPath) else data.rglob("*.partial")  # objects are whole
+    extra = tuple(sorted(str(file.relative_to(path)) for file in partial))
     checked = len(records) if arrays else 0
     torn = journal.torn
     return VerifyReport(path, checked, missing, tuple(damaged), extra, torn, tuple(layout), unchecked)
@@ -136,7 +138,7 @@ def examined(path: Path, manifest: Manifest, journal: Journal) -> VerifyReport:
 
 def _opened(data: Path, names: Collection[str]) -> dict[str, Array]:
     """Open arrays by the copy of their metadata at the root, or else by their own; without both, no array."""
-    store, found = DurableStore(data, read_only=True), {}
+    store, found = zarr_store(data, read_only=True), {}
     for name in names:
         with suppress(Exception):  # zarr raises what its parsers raise
             found[name] = zarr.open_array(store, path=name, mode="r", zarr_format=3)
@@ -146,12 +148,12 @@ def _opened(data: Path, names: Collection[str]) -> dict[str, Array]:
     return found
 
 
-def _damage(path: Path, array: Array, record: Record) -> str:
-    """Return what is wrong with a chunk of an array, "" if nothing."""
+def _damage(array: Array, record: Record, there: bool) -> str:
+    """Return what is wrong with a chunk of an array, "" if nothing; `there`: whether its file is."""
     name = array.basename
     if name not in record.digests:
         return "the journal has no digest of it"
-    if _lost(path, array, record):
+    if not there and (name != MESSAGE or record.has_messages):
         return "the file is missing or empty"
     try:
         stored = digest(np.asarray(array[record.first : record.last]))
@@ -177,10 +179,3 @@ def _in_words(error: Exception) -> str:
     if "checksum" in str(error).lower():
         return "has changed since it was written: its checksum does not fit"
     return "was cut off or overwritten: its bytes are no array"
-
-
-def _lost(path: Path, array: Array, record: Record) -> bool:
-    if array.basename == MESSAGE and not record.has_messages:
-        return False
-    file = chunk_file(path / DATA, array, record.first)
-    return not file.is_file() or file.stat().st_size == 0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from wavequake.campaign.store import arrays
 from wavequake.campaign.store.folder import write_errors_explained
 from wavequake.campaign.store.journal import digest, flush
+from wavequake.campaign.store.objects import ObjectPath, location
 from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ Labelled = tuple[tuple[str, ...], Any, dict[str, str]]
 
 def write_dataset(made: "xr.Dataset", target: Path) -> None:
     """Write a dataset to `target`, or nothing."""
+    if isinstance(location(target), ObjectPath):
+        raise UserError(f"{location(target)} would be in object storage: give the folder of a store.")
     partial = target.with_name(f"{target.name}.partial-{uuid.uuid4().hex}")
     with write_errors_explained(target.parent):
         target.parent.mkdir(parents=True, exist_ok=True)

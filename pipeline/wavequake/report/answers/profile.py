@@ -4,6 +4,7 @@ from pathlib import Path
 
 from wavequake.campaign.stopwatch import CPU
 from wavequake.campaign.store.journal import read_journal
+from wavequake.campaign.store.objects import location
 from wavequake.campaign.store.store import JOURNAL, done_records, read_manifest
 from wavequake.workflows.kinds import find_kind
 
@@ -21,7 +22,7 @@ def profile(path: Path | str) -> dict[str, str]:
         If there is no store at `path`.
     """
     manifest = read_manifest(path)
-    records = done_records(manifest, read_journal(Path(path) / JOURNAL))
+    records = done_records(manifest, read_journal(location(path) / JOURNAL))
     seconds: dict[str, float] = {}
     for record in records.values():
         for name, value in record.timings.items():
