@@ -33,9 +33,9 @@ LONGEST = (
     "test_report_page.py",
     "test_telemetry_lines.py",
     "test_faults.py",
-    "test_retention_reports.py",
+    "test_kept_reports.py",
     "test_allow_campaigns.py",
-    "test_retention.py",
+    "test_kept_histories.py",
     "test_kept_images.py",
     "test_sequential_contract.py",
 )
@@ -98,6 +98,26 @@ def _the_command_line_is_built_once():
     """All commands with their options take 60 ms, as long as many a test of one of them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", lru_cache(maxsize=1)(typer.main.get_command))
+        yield
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory):
+    """Return a folder that all processes of a run share."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def mirror_models(shared_folder):
+    """Keep built mirrors out of the user's cache, in one folder of the whole run."""
+    from wavequake.workflows.mirrors import model_store
+
+    with pytest.MonkeyPatch.context() as patch:
+        folder = shared_folder / "mirror-models"
+        patch.setattr(model_store, "model_folder", lambda: folder)
         yield
 
 

@@ -21,13 +21,6 @@ def chunk():
     return compute(TEXT, np.arange(4), "numpy")
 
 
-def test_bits_of_a_case_do_not_depend_on_its_chunk(chunk):
-    alone = compute(TEXT, np.array([3]), "numpy")
-    assert set(alone.arrays) == set(template(TEXT).per_case)
-    for name, values in alone.arrays.items():
-        np.testing.assert_array_equal(values[0], chunk.arrays[name][3], err_msg=name)
-
-
 def test_chunks_are_those_of_any_workflow():
     keys = {"campaign.cases": 1000}
     assert [chunk_of(load_study(name, keys)) for name in ("lens-experiment", "tmt-segments")] == [125, 125]

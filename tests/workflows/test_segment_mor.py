@@ -64,14 +64,6 @@ def test_errors_are_differences_of_wavefronts(results):
                 assert (error[row] <= wfe[row] + wfe[first]).all()
 
 
-def test_a_case_alone_has_the_bits_it_has_in_a_chunk(results):
-    backwards = compute(text_of(), np.array([9, 1]), "auto")
-    for place, case in enumerate((9, 1)):
-        for name, values in results.arrays.items():
-            if name != "reduce_seconds":
-                np.testing.assert_array_equal(backwards.arrays[name][place], values[case], err_msg=name)
-
-
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [

@@ -97,7 +97,8 @@ def control_bench_of(study_text: str) -> ControlBench:
     Raises
     ------
     UserError
-        If the telescope has no mirror M2, or M2's deformations do not determine the wavefront.
+        If the telescope has no mirror M2, a disturbance deforms it, or its deformations do not determine
+        the wavefront.
     """
     control = imaged_bench_of(study_text)
     with threadpool_limits(1):
@@ -113,6 +114,11 @@ def imaged_bench_of(study_text: str) -> ControlBench:
         system, old = bench.system, bench.prepared
         if len(system.surfaces) < 2 or system.surfaces[0].action != "reflect":
             raise UserError(f"the telescope {system.name} has no mirror M2 that could correct its image")
+        if bench.mirror_terms:
+            raise UserError(
+                "Disturbances that deform mirrors after M1 belong to the workflow segment-disturbance: here "
+                "M2 deforms to correct; leave its figures out."
+            )
         prepared = prepare(
             system,
             old.rays,

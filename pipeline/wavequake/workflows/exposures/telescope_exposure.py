@@ -236,11 +236,7 @@ def check(study_text: str) -> None:
     study = study_from_identity(TelescopeExposureStudy, study_text)
     if study.object:
         check_object(study.object, study.imaging.pixels, study.imaging.sampling)
-    if control_bench_of(study_text).bench.mirror_terms:
-        raise UserError(
-            "Disturbances that deform mirrors after M1 belong to the workflow segment-disturbance: here M2 "
-            "deforms to correct; leave its figures out."
-        )
+    control_bench_of(study_text)
 
 
 def notices(study_text: str) -> Iterator[str]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import toy
-from small_histories import SMALL
+from small_kinds import SMALL
 
 from wavequake.campaign.contract import DIVERGED, DONE, StudyKind, Template, Variable
 from wavequake.campaign.engine.chunks import computed_alone, computed_chunk, opened_store
@@ -14,8 +14,7 @@ from wavequake.campaign.store.store import create_store, open_store
 from wavequake.errors import UserError
 from wavequake.report.answers.comparison import compare
 from wavequake.report.answers.tail import per_case
-from wavequake.workflows.kinds import bundled_kinds, find_kind
-from wavequake.workflows.run import run_study
+from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.study import load_study, study_with
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
@@ -91,17 +90,6 @@ def test_summaries_are_the_statistics_of_the_histories(small, name):
         assert short[key if key in short else f"{key}_rms"].attrs["units"] == values.attrs["units"]
     small_bytes = sum(short[key].nbytes for key in short.data_vars if "statistic" in short[key].dims)
     assert small_bytes < sum(whole[key].nbytes for key in over_time(whole))
-
-
-@pytest.mark.parametrize(
-    "name", ["system-disturbance", "system-loop", "lens-experiment", "telescope-exposure", "telescope-loop"]
-)
-def test_each_case_alone_has_the_bits_that_it_has_in_a_chunk(small, name, tmp_path):
-    study_of, dataset = small
-    whole = dataset(name, reduce="summary")
-    study = study_with(study_of(name), {"store.reduce": "summary"})
-    run_study(study_with(study, {"store.chunk_cases": 1}), tmp_path / "s", on="serial")
-    assert whole.drop_attrs().identical(open_store(tmp_path / "s").load().drop_attrs())
 
 
 def test_the_identity_changes_with_what_is_kept_only(small):
@@ -183,11 +171,6 @@ def test_a_workflow_without_histories_has_nothing_to_thin_out():
     for keys in ({"store.every": 2}, {"store.reduce": "summary"}):
         with pytest.raises(UserError, match=r"lens-passive stores nothing over time"):
             load_study("lens-passive", keys)
-
-
-def test_every_workflow_is_tested_here():
-    nothing_over_time = {"lens-passive", "controller-mor", "tip-tilt-vibration", "segment-control"}
-    assert set(SMALL) == set(bundled_kinds()) - nothing_over_time
 
 
 def toy_store(tmp_path, **options):

@@ -12,7 +12,7 @@ from wavequake.errors import UserError
 from wavequake.workflows import kinds
 from wavequake.workflows.kinds import find_kind, kind_names, register
 
-PLUGIN = Path(__file__).parent / "pendulum.py"
+PLUGIN = Path(__file__).parents[1] / "workflows" / "pendulum.py"
 STUDY = """
 [study]
 name = "swing"

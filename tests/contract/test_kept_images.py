@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from small_histories import small_study
+from small_kinds import small_study
 
 from wavequake.campaign.contract import DONE, Template, Variable
 from wavequake.campaign.store.retention import kept_template, retention_of
@@ -31,19 +31,22 @@ CLOCKS = ("seconds", "reduce_seconds")
 
 
 @pytest.fixture(scope="module")
-def stores(tmp_path_factory):
-    """Return the store of a workflow's small study under some keys, made once."""
+def stores(kept_stores, tmp_path_factory):
+    """Return the store of a kind's small study under some keys, made once; of segments with images."""
+    _, store_of = kept_stores
     folder = tmp_path_factory.mktemp("images")
 
-    def store_of(name, **keys):
-        place = folder / "-".join([name, *map(str, keys.values())])
+    def imaged(name, **keys):
+        if name != "segment-disturbance":
+            return store_of(name, **keys)
+        place = folder / "-".join(["imaged", *map(str, keys.values())])
         if not place.exists():
             chosen = {f"store.{key}": value for key, value in keys.items()}
-            imaging = {"imaging.enabled": True, "imaging.pixels": 16} if "disturbance" in name else {}
-            run_study(study_with(small_study(name, folder), chosen | imaging), place, on="serial")
+            chosen |= {"imaging.enabled": True, "imaging.pixels": 16}
+            run_study(study_with(small_study(name, folder), chosen), place, on="serial")
         return place
 
-    return store_of
+    return imaged
 
 
 def images_of(dataset):
@@ -129,7 +132,7 @@ def test_stores_with_other_images_are_compared_by_what_both_have(stores, name):
     assert 0.0 < found["exposure"].differences.max() < 1e-7  # 2^-24 of the image's energy, about
 
 
-def test_summaries_without_images_fit_a_million_cases_in_gigabytes(stores):
+def test_summaries_without_images_fit_a_million_cases_in_gigabytes(stores, tmp_path):
     keys = {"reduce": "summary", "images": "none"}
     whole, short = (
         open_store(stores("telescope-exposure", **chosen)).load() for chosen in ({"reduce": "summary"}, keys)
@@ -137,7 +140,7 @@ def test_summaries_without_images_fit_a_million_cases_in_gigabytes(stores):
     for key in set(short.variables):
         np.testing.assert_array_equal(short[key].to_numpy(), whole[key].to_numpy(), err_msg=key)
     assert not images_of(short)
-    study = study_with(small_study("telescope-exposure", stores("telescope-exposure").parent), {})
+    study = study_with(small_study("telescope-exposure", tmp_path), {})
     study = study_with(study, {f"store.{key}": value for key, value in keys.items()})
     words = plan(study)["store"]
     assert float(words.rpartition(", ")[2].split()[0]) < 3.0  # kB per case

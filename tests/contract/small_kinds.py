@@ -1,8 +1,9 @@
-"""A small study of every workflow that stores numbers over time."""
+"""A small study of every kind: the table that the tests of this folder go through."""
 
 import small_mirrors
 import small_segments
 import small_telescope
+from tests.recorded import RECORDED
 
 from wavequake.workflows.study import load_study
 
@@ -117,11 +118,23 @@ SMALL = {
     "mirror-exposure": ("mirror-exposure", EXPOSURE, None),
     "segment-mor": (small_segments.STUDY, SEGMENTS, None),
 }
+# The same of kinds that store nothing over time.
+TIMELESS = {
+    "lens-passive": ("lens-passive", {"passive.iterations": 3}, 2),
+    "controller-mor": (
+        "controller-mor",
+        RECORDED["controller-mor"].keys | {"reduction.variants": ["modal10", "craigb18"]},
+        None,
+    ),
+    "tip-tilt-vibration": ("tip-tilt-vibration", RECORDED["tip-tilt-vibration"].keys, 6),
+    "segment-control": ("tmt-m1-control", {"mirror.telescope": "tmt-18"}, 2),
+}
+KINDS = SMALL | TIMELESS
 
 
 def small_study(name, folder):
-    """Load the study of a workflow, by way of a file in `folder` if it is written here."""
-    text, keys, cases = SMALL[name]
+    """Load the study of a kind, by way of a file in `folder` if it is written here."""
+    text, keys, cases = KINDS[name]
     if "\n" in text:
         path = folder / f"{name}.toml"
         path.write_text(text)

@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from small_histories import SMALL
+from small_kinds import SMALL
 
 from wavequake.campaign.store.store import open_store
 from wavequake.report.campaign import export_store, report_store

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from small_histories import SMALL, SYSTEM
+from small_kinds import SMALL, SYSTEM
 
 from wavequake.campaign.contract import RAISED
 from wavequake.campaign.store.store import open_store
