@@ -8,6 +8,7 @@ from types import ModuleType
 
 from rich.table import Table
 
+from wavequake.campaign.statistics.blocks import few_at_once
 from wavequake.campaign.store.layout import refuse_older
 from wavequake.campaign.store.objects import ObjectPath, location
 from wavequake.campaign.store.store import (
@@ -68,6 +69,7 @@ def _damage_named(store: Path) -> Iterator[None]:
         raise
 
 
+@few_at_once()
 def summary_table(store: Path) -> Table:
     """Return the table of a store for the terminal; raises as :func:`report_store`."""
     dataset, manifest = open_for_report(store), read_manifest(store)
@@ -77,6 +79,7 @@ def summary_table(store: Path) -> Table:
         return table
 
 
+@few_at_once()
 def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
     """Write the HTML report of a store, by default into its folder, and return its table and the file.
 

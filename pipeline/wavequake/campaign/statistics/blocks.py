@@ -1,6 +1,7 @@
 """Blocks of cases: what is larger than memory is read, reduced or written one after the other."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
@@ -10,6 +11,16 @@ if TYPE_CHECKING:
 
 BLOCK_BYTES = 2**24  # of numbers in memory at a time
 _TEXT_BYTES = 64  # of a text in memory, about
+_READERS = 2  # threads
+
+
+@contextmanager
+def few_at_once() -> Iterator[None]:
+    """Read few chunks of a store at a time, as each thread of Dask holds its own: else one per processor."""
+    import dask
+
+    with dask.config.set(num_workers=_READERS):
+        yield
 
 
 def blocks(arrays: "Iterable[xr.Variable]", share: float = 1.0) -> Iterator[slice]:

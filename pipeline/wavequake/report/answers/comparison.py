@@ -22,6 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.campaign.contract import DONE
+from wavequake.campaign.statistics.blocks import few_at_once
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.figures import STYLE
@@ -100,6 +101,7 @@ class Difference:
         return float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, excess.size - 1) * error)
 
 
+@few_at_once()
 def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str) -> list[Difference]:
     """Compare the finished cases that two datasets of stores share; `first` and `second` are their names.
 
