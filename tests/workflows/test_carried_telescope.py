@@ -8,9 +8,8 @@ import wavequake as wq
 from wavequake.chain.loops.structure import CarryingMode, carrying
 from wavequake.errors import UserError
 from wavequake.optics.segments.catalog import telescope
-from wavequake.workflows.loops.telescope_bench import bench_of
+from wavequake.workflows.loops.telescope_bench import bench_of, loops
 from wavequake.workflows.loops.telescope_light import drawn, seen_of
-from wavequake.workflows.loops.telescope_margins import loops
 from wavequake.workflows.segments.bench import layout_of
 
 LAYOUT = layout_of(telescope("tmt-18"))

@@ -17,8 +17,7 @@ from wavequake.control.sampled.stability import SampledLoop, worst_pole
 from wavequake.errors import UserError
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.states import rest
-from wavequake.workflows.loops.telescope_bench import bench_of
-from wavequake.workflows.loops.telescope_margins import loops
+from wavequake.workflows.loops.telescope_bench import bench_of, loops
 
 pytest.importorskip("slycot", reason="needs slycot: pip install slycot")
 

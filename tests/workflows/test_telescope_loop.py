@@ -19,9 +19,8 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.workflows.loops import loop_margins, telescope_loop
-from wavequake.workflows.loops.telescope_bench import bench_of
+from wavequake.workflows.loops.telescope_bench import bench_of, loops
 from wavequake.workflows.loops.telescope_light import drawn, optics_of, seen_of
-from wavequake.workflows.loops.telescope_margins import loops
 from wavequake.workflows.loops.telescope_study import LookSection
 
 
