@@ -200,6 +200,8 @@ def test_the_report_says_what_is_left(store):
     done = CliRunner().invoke(app, ["report", str(store)])
     assert done.exit_code == 0, done.output
     page = (store / "report.html").read_text()
+    for title in ("Loop gain over frequency", "Loop gain in the complex plane", "complementary sensitivity"):
+        assert title in page
     for words in (
         "Sensitivity and complementary",
         "leaves the least wavefront error",

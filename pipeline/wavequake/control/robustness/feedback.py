@@ -145,7 +145,7 @@ def refined_pole(pole: complex, plant: Response, controller: LinearModel) -> com
         with np.errstate(over="ignore", invalid="ignore"):
             step = values[near] / change
         s -= complex(step)
-        if not np.isfinite(s):
+        if not np.isfinite(s * s):
             break
         if abs(step) <= _SETTLED * abs(s):
             return s

@@ -18,7 +18,7 @@ from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
 from wavequake.report.figures import HEIGHT, STYLE, WIDTH
 from wavequake.report.histories import has_histories, over_time, what_is_kept
-from wavequake.report.loops.frequency import Curve, bode, sensitivities, style
+from wavequake.report.loops.frequency import LOCI, Curve, bode, nyquist, sensitivities, style
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import frame_of, left_out
 from wavequake.report.table import number, radius
@@ -359,6 +359,7 @@ def _shown(
             "Each controller alone: the eigenvalue of the loop gain that is nearest to -1. Curves end at "
             "half the rate of commands.",
         )
+        yield picture(f"{disturbance}-nyquist", "Loop gain in the complex plane", nyquist(curves), LOCI)
         yield picture(
             f"{disturbance}-rejection",
             "Sensitivity and complementary sensitivity",
