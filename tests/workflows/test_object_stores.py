@@ -32,7 +32,7 @@ from wavequake.errors import UserError
 SERVER = Path(__file__).with_name("object_server.py")
 SECRET = "a-key-that-nobody-may-read"
 CHUNK = 5
-QUICK = "from wavequake.campaign.store import lease; lease.BEAT_S, lease.EXPIRY_S = 0.1, 2.0\n"
+QUICK = "from wavequake.campaign.store import lease; lease.BEAT_S, lease.EXPIRY_S = 0.5, 4.0\n"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -45,8 +45,8 @@ def bucket():
         patch.setenv("AWS_ACCESS_KEY_ID", "somebody")
         patch.setenv("AWS_SECRET_ACCESS_KEY", SECRET)
         patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-        patch.setattr(lease, "BEAT_S", 0.1)
-        patch.setattr(lease, "EXPIRY_S", 2.0)
+        patch.setattr(lease, "BEAT_S", 0.5)
+        patch.setattr(lease, "EXPIRY_S", 4.0)
         boto3.client("s3").create_bucket(Bucket="campaigns")
         yield
     server.kill()
