@@ -41,7 +41,7 @@ test: $(VENV)/.dev
 # Quick files of every folder of tests/; a test sees to it that none is left out. Bits of all studies in other
 # places take three minutes: `make test` compares them.
 FAST := test_architecture.py test_recorded_numbers.py \
-  chain/test_streaks.py drawing/test_paths.py \
+  chain/test_streaks.py contract/test_sources.py drawing/test_paths.py \
   cluster/test_places.py control/test_linear.py control/test_regulator.py control/test_sensor.py \
   firmware/test_gains_header.py imaging/test_mtf.py imaging/test_matrix_fourier.py imaging/test_detector.py \
   kernels/test_strehl.py kernels/test_poses.py mechanics/test_linear_system.py mechanics/test_spectra.py \

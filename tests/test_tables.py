@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wavequake import tables
-from wavequake.tables import kept, table_folder
+from wavequake.tables import kept, kept_by, table_folder
 
 made = []
 
@@ -47,6 +47,24 @@ def test_other_arguments_are_other_tables():
     kept(Table, make, values, factor=2.0)
     assert len(made) == 5
     assert len(list(tables.table_folder().iterdir())) == 5
+
+
+def test_arrays_by_name_are_known_by_all_their_numbers():
+    values = np.zeros(5000)
+    for place in (1, 2500):  # the middle of a long array is not in its words
+        values[2500] = place
+        kept(Table, make, np.ones(5000), factor=values.copy())
+    assert len(made) == 2
+
+
+def test_what_this_package_does_not_decide_outlives_its_versions(monkeypatch):
+    for version in ("0.1", "0.2"):
+        monkeypatch.setattr(tables, "_makers", lambda version=version: version)
+        kept(Table, make, np.arange(4.0))
+        kept_by(Table, "program", ("text", ["-w"]), lambda: make(np.arange(4.0), 5.0))
+    assert sorted(made) == [1.0, 1.0, 5.0]
+    kept_by(Table, "program", ("text", ["-O2"]), lambda: make(np.arange(4.0), 5.0))
+    assert len(made) == 4
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK", None])

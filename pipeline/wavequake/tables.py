@@ -8,7 +8,7 @@ import hashlib
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -41,22 +41,32 @@ def kept(kind: type[Table], make: Callable[..., Table], *arguments: Any, **keys:
     arguments, keys
         Arrays, or what has a `repr` that says all of it.
     """
-    file = table_folder() / f"{make.__name__}-{_digest(make, arguments, keys)}.npz"
+    named = [part for item in sorted(keys.items()) for part in item]
+    known_by = _makers(), make.__module__, make.__qualname__, *arguments, *named
+    return kept_by(kind, make.__name__, known_by, lambda: make(*arguments, **keys))
+
+
+def kept_by(kind: type[Table], name: str, known_by: Iterable[Any], make: Callable[[], Table]) -> Table:
+    """Return ``make()``, from disk where its `name` and all that it is `known_by` have been kept together.
+
+    `known_by` says all that decides the result, also the version of the code where that does.
+    """
+    file = table_folder() / f"{name}-{_digest(known_by)}.npz"
     try:
         with np.load(file, allow_pickle=False) as found:  # zip files check what they hold
             values = {one.name: found[one.name] for one in fields(kind)}  # type: ignore[arg-type]
         os.utime(file)
     except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile):
-        made = make(*arguments, **keys)
+        made = make()
         _write(file, {one.name: np.asarray(getattr(made, one.name)) for one in fields(kind)})  # type: ignore[arg-type]
         return made
     return kind(**{name: value if value.ndim else value.item() for name, value in values.items()})
 
 
-def _digest(make: Callable[..., Any], arguments: tuple[Any, ...], keys: dict[str, Any]) -> str:
-    total = hashlib.sha256(repr((make.__module__, make.__qualname__, _makers())).encode())
-    for name, one in [*enumerate(arguments), *sorted(keys.items())]:
-        total.update(repr(name).encode())
+def _digest(known_by: Iterable[Any]) -> str:
+    total = hashlib.sha256()
+    for number, one in enumerate(known_by):
+        total.update(repr(number).encode())
         if isinstance(one, np.ndarray):
             total.update(repr((one.dtype.str, one.shape)).encode() + np.ascontiguousarray(one).tobytes())
         else:

@@ -1,17 +1,52 @@
 """Every reader of users' files, each with small valid files."""
 
 import base64
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import full_file
 import lens_readers as lenses
-import numpy as np
-
-DATA = Path(__file__).parents[1] / "data"
+from valid_files import (
+    CLUSTER,
+    DATA,
+    FORCES,
+    GRID,
+    HISTORY,
+    LOADS,
+    OP4,
+    RECORD,
+    SAG,
+    SPECTRUM,
+    TEMPERATURES,
+    bundled,
+    controller_npz,
+    corner_table,
+    data,
+    dense_npz,
+    gmsh,
+    hdf5,
+    head,
+    history_npz,
+    loads_npz,
+    market,
+    matrices_npz,
+    modes_npz,
+    nodal_npz,
+    nodal_rows,
+    npy,
+    png,
+    results_of_ansys,
+    scipy_npz,
+    sparse_npz,
+    telemetry_csv,
+    telemetry_fits,
+    telemetry_npz,
+    telescope,
+    text,
+    through_meshio,
+    turning_npz,
+)
 
 
 @dataclass(frozen=True)
@@ -23,28 +58,10 @@ class Reader:
     valid: tuple[Callable[[], bytes], ...]
 
 
-def data(*names: str) -> tuple[Callable[[], bytes], ...]:
-    return tuple((DATA / name).read_bytes for name in names)
-
-
-def text(content: str) -> tuple[Callable[[], bytes], ...]:
-    return (content.encode,)
-
-
-def head(name: str, lines: int) -> Callable[[], bytes]:
-    return lambda: b"".join((DATA / name).read_bytes().splitlines(keepends=True)[:lines])
-
-
 def study(path: Path) -> object:
     from wavequake.workflows.study import load_study
 
     return load_study(path)
-
-
-def bundled(name: str) -> Callable[[], bytes]:
-    from wavequake.files import folder
-
-    return (folder("workflows") / f"{name}.toml").read_bytes
 
 
 def cluster(path: Path) -> object:
@@ -103,23 +120,10 @@ def polygons(path: Path) -> object:
     return read_polygons(path)
 
 
-@lru_cache
-def telescope():
-    from wavequake.optics.segments.layout import tmt18_segments
-
-    return tmt18_segments()
-
-
 def corners(path: Path) -> object:
     from wavequake.optics.shapes.corner_table import distorted
 
     return distorted(telescope(), path)
-
-
-def corner_table() -> bytes:
-    names = telescope().names
-    rows = [f"{names[k]},{1 + k % 6},{1e-4 * k},-2e-4" for k in range(4)]
-    return "\n".join(["segment,corner,dx_mm,dy_mm", *rows, ""]).encode()
 
 
 def picture(path: Path) -> object:
@@ -167,132 +171,16 @@ def linear_controller(path: Path) -> object:
     return linear_regulator(read_controller(path.read_bytes()))
 
 
-def controller_npz() -> bytes:
-    a = np.array([[0.9, 0.2], [-0.2, 0.9]])
-    return packed(A=a, B=np.ones((2, 1)), C=np.ones((1, 2)), D=np.eye(1), sample_time_s=0.002)
-
-
 def history_arrays(path: Path) -> object:
     from wavequake.mechanics.disturbances.history_arrays import read_arrays
 
     return read_arrays(base64.b64encode(path.read_bytes()).decode())
 
 
-def squares() -> tuple[np.ndarray, np.ndarray]:
-    stiffness = 4.0 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1)
-    return stiffness, np.eye(6)
-
-
-def dense_npz() -> bytes:
-    stiffness, mass = squares()
-    nodes = np.array([[node, direction] for node in (1, 2) for direction in (1, 2, 3)])
-    return packed(stiffness=stiffness, mass=mass, dofs=nodes, nodes=np.eye(2, 3), node_numbers=[1, 2])
-
-
-def packed(**arrays: object) -> bytes:
-    out = io.BytesIO()
-    np.savez(out, **arrays)
-    return out.getvalue()
-
-
-def sparse_npz() -> bytes:
-    from scipy.sparse import csc_array
-
-    parts = {}
-    for name, matrix in zip(("stiffness", "mass"), map(csc_array, squares()), strict=True):
-        parts |= {f"{name}_{part}": getattr(matrix, part) for part in ("data", "indices", "indptr")}
-    return packed(**parts)
-
-
-def scipy_npz() -> bytes:
-    from scipy.sparse import csr_array, save_npz
-
-    out = io.BytesIO()
-    save_npz(out, csr_array(squares()[0]))
-    return out.getvalue()
-
-
-def hdf5() -> bytes:
-    import h5py
-
-    out = io.BytesIO()
-    with h5py.File(out, "w") as file:
-        file["stiffness"], file["mass"] = squares()
-        file.create_dataset("nodes", data=np.eye(2, 3), compression="gzip", chunks=True)
-        file["note"] = "text"
-    return out.getvalue()
-
-
-def market() -> bytes:
-    from scipy.io import mmwrite
-    from scipy.sparse import coo_array
-
-    out = io.BytesIO()
-    mmwrite(out, coo_array(squares()[0]))
-    return out.getvalue()
-
-
-def through_meshio(suffix: str, **options: object) -> Callable[[], bytes]:
-    def make() -> bytes:
-        import tempfile
-
-        import meshio
-
-        points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
-        solid = meshio.Mesh(points, [("tetra", [[0, 1, 2, 3], [1, 2, 3, 4]])])
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / f"mesh{suffix}"
-            meshio.write(file, solid, **options)
-            return file.read_bytes()
-
-    return make
-
-
-def gmsh(**options: object) -> Callable[[], bytes]:
-    return through_meshio(".msh", file_format="gmsh", **options)
-
-
-def history_npz() -> bytes:
-    time = np.linspace(0.0, 1.0, 5)
-    heights = np.random.default_rng(1).normal(size=(5, 4, 4))
-    return packed(**{"time_s": time, "M1.dx_um": time, "M1.grid_nm": heights, "M1.grid_spacing_mm": 10.0})
-
-
 def telemetry(path: Path) -> object:
     from wavequake.mechanics.telemetry.record import read_record
 
     return read_record(path)
-
-
-def telemetry_table() -> dict[str, object]:
-    values = np.random.default_rng(2).normal(size=(520, 2)).round(3)
-    return {"time_s": np.arange(520) / 100, "M2.dx_um": values[:, 0], "line_of_sight.x_mas": values[:, 1]}
-
-
-def telemetry_csv() -> bytes:
-    table = telemetry_table()
-    rows = "".join(f"{t:.2f},{a:.3f},{b:.3f}\n" for t, a, b in zip(*table.values(), strict=True))
-    note = "# what a damage to the rows would mostly be: a gap in time\n" * 400
-    return (note + ",".join(table) + "\n" + rows).encode()
-
-
-def telemetry_npz() -> bytes:
-    return packed(**telemetry_table())
-
-
-def telemetry_fits() -> bytes:
-    from astropy.io import fits
-
-    out = io.BytesIO()
-    columns = [fits.Column(name, "D", array=values) for name, values in telemetry_table().items()]
-    fits.HDUList([fits.PrimaryHDU(), fits.BinTableHDU.from_columns(columns)]).writeto(out)
-    return out.getvalue()
-
-
-def npy() -> bytes:
-    out = io.BytesIO()
-    np.save(out, np.arange(24.0).reshape(4, 6))
-    return out.getvalue()
 
 
 def body_of(make: str) -> Callable[[Path], object]:
@@ -304,24 +192,6 @@ def body_of(make: str) -> Callable[[Path], object]:
         return getattr(arrays, make)("tube", base64.b64encode(path.read_bytes()).decode())
 
     return read
-
-
-def matrices_npz() -> bytes:
-    stiffness, mass = squares()
-    return packed(mass=mass, stiffness=stiffness, nodes_mm=np.eye(2, 3), inputs=np.eye(6), names=["a", "b"])
-
-
-def turning_npz() -> bytes:
-    stiffness, mass = squares()
-    arrays = {"mass": mass, "stiffness": stiffness, "damping": 0.01 * stiffness, "nodes_mm": np.eye(2, 3)}
-    return packed(**arrays, inputs=np.eye(6), turns=np.eye(6))
-
-
-def modes_npz() -> bytes:
-    shapes = np.arange(24.0).reshape(2, 2, 6)
-    return packed(
-        frequencies_hz=[3.0, 5.0], damping_ratios=0.01, nodes_mm=np.eye(2, 3), shapes=shapes, names=["a", "b"]
-    )
 
 
 def nodal(path: Path) -> object:
@@ -336,16 +206,6 @@ def mode_table(path: Path) -> object:
     from wavequake.mechanics.nodal.modes import modes_of
 
     return modes_of(path, None)
-
-
-def nodal_npz() -> bytes:
-    shifts = np.arange(30.0).reshape(2, 5, 3)
-    return packed(nodes_mm=np.eye(5, 3), displacements_um=shifts, time_s=[0.0, 1.0])
-
-
-def nodal_rows(head: str, steps: tuple[str, ...]) -> str:
-    rows = [f"{step},{node},{node}.5,0,{node % 3},0.1,-0.{node},0.3" for step in steps for node in range(9)]
-    return "\n".join([head, *rows, ""])
 
 
 def source_file(source: str) -> Callable[[Path], object]:
@@ -364,22 +224,10 @@ def source_file(source: str) -> Callable[[Path], object]:
     return read
 
 
-def loads_npz() -> bytes:
-    time = np.linspace(0.0, 1.0, 8)
-    return packed(**{"time_s": time, "tube.top.fx_n": np.sin(time), "ground.dx_um": time})
-
-
 def own_model(path: Path) -> object:
     from wavequake.workflows.mirrors.own_models import own_arrays
 
     return own_arrays(base64.b64encode(path.read_bytes()).decode(), "mine")
-
-
-def results_of_ansys() -> bytes:
-    """Return the results that come with the library that reads them."""
-    from ansys.mapdl.reader import examples
-
-    return Path(examples.rstfile).read_bytes()
 
 
 def plugin(path: Path) -> object:
@@ -388,29 +236,6 @@ def plugin(path: Path) -> object:
 
     return read_plugin(path)
 
-
-def png() -> bytes:
-    from PIL import Image
-
-    out = io.BytesIO()
-    Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(out, "PNG")
-    return out.getvalue()
-
-
-SAG = "# mm\n" + "\n".join(",".join(f"{row * column:.3f}" for column in range(5)) for row in range(4)) + "\n"
-GRID = "4 4 10.0 10.0 0 0 0\n" + "".join(f"{k * 0.01:.4f} 0 0 0\n" for k in range(16))
-HISTORY = "time_s,M1.dx_um,M1.rx_urad\n" + "".join(f"{k / 10},{k},{-k}\n" for k in range(8))
-TEMPERATURES = "temperature_c,M1.dz_um,M1.z4_nm\n" + "".join(f"{k},{k}.5,{-k}\n" for k in range(9))
-LOADS = "time_s,tube.top.fx_n,ground.rx_urad\n" + "".join(f"{k / 10},{k % 3},{-k}\n" for k in range(9))
-SPECTRUM = "frequency_hz,psd\n" + "".join(f"{k},{1 / k}\n" for k in range(1, 9))
-RECORD = "time_s,command_mm,sensor_mm,image_mm\n" + "".join(
-    f"{k / 1000},0,{0.1 * k},{'' if k % 2 else 0.2 * k}\n" for k in range(40)
-)
-FORCES = "time_s,force_n\n" + "".join(f"{k / 100},{k % 3}\n" for k in range(30))
-CLUSTER = "interface: ib0\njobs: 2\nprocesses: 4\nmemory: 4 GiB\nwalltime: '01:00:00'\nmodules: [gcc/13]\n"
-OP4 = [f"truss_{form}.op4" for form in (
-    "big_endian", "bigmat_binary", "bigmat_text", "dense_binary", "dense_text", "nonbigmat_binary",
-    "nonbigmat_text")]  # fmt: skip
 
 READERS = {
     "study": Reader(".toml", study, (bundled("tmt-segments"), bundled("mirror-mor"))),

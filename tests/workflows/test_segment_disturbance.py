@@ -1,11 +1,8 @@
 """The workflow as a whole, on the 18-segment telescope: what is drawn must come out of the optics."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from small_telescope import STUDY
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
@@ -14,7 +11,6 @@ from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNois
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.prepared import trace_states
 from wavequake.workflows.segments import disturbance as workflow
-from wavequake.workflows.segments import launches
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import energy_scale, image_axis
 from wavequake.workflows.segments.launches import slot, surface_states
@@ -69,65 +65,6 @@ def test_every_case_is_done_and_finite_over_its_own_instants(study, chunk):
             assert np.isfinite(values[: population.instants]).all()
             assert np.isnan(values[population.instants :]).all()
     assert np.isfinite(chunk.arrays["exposure"]).all()
-
-
-def test_a_case_alone_has_the_bits_that_it_has_in_a_chunk(text, chunk):
-    for case in (0, 2, 11):
-        alone = workflow.compute(text, np.array([case]), DEVICE)
-        for name, values in alone.arrays.items():
-            np.testing.assert_array_equal(values[0], chunk.arrays[name][case], err_msg=name)
-
-
-def test_cases_that_stand_still_are_traced_once_and_do_not_depend_on_each_other(study):
-    """They share tiles, at the place of their realization; the rest of the chunk moves."""
-    bench = bench_of(study.identity_text())
-    draws = [workflow.draw(bench, case) for case in range(60)]
-    instants = [launches.traced_instants(drawn) for drawn in draws]
-    still = [row for row, count in enumerate(instants) if count == 1]
-    assert len(still) > 20
-    assert {draws[row].population.name for row in still} == {"pistons", "figure", "both"}
-    pieces = [piece for launch in launches.launches(draws, instants) for piece in launch]
-    assert sum(piece.last - piece.first for piece in pieces) == sum(instants)
-    tiles = {piece.place // 16 for piece in pieces if piece.row in still}
-    assert len(tiles) < len(still) / 6
-    text, cases = only_pistons(study).identity_text(), np.arange(5, 25)
-    together = workflow.compute(text, cases, DEVICE).arrays
-    for row in (0, 13, 19):
-        alone = workflow.compute(text, cases[row : row + 1], DEVICE).arrays
-        for name, values in alone.items():
-            np.testing.assert_array_equal(values[0], together[name][row], err_msg=name)
-            if values.ndim > 1 and name not in ("time_s", "exposure"):  # the same at every instant
-                np.testing.assert_array_equal(values[0, :3], np.repeat(values[0, :1], 3, axis=0))
-
-
-def test_where_a_long_case_is_cut_depends_on_it_alone(monkeypatch):
-    """Exposures are sums over pieces, whose last bits are those of their order."""
-    monkeypatch.setattr(launches, "_LAUNCH_TILES", 4)
-    instants = [40, 1, 150, 17, 33, 1, 64, 65]
-    draws = [SimpleNamespace(realization=row) for row in range(len(instants))]
-    cut = list(launches.launches(draws, instants))
-    assert all(piece.here.stop <= 64 for launch in cut for piece in launch)
-    for row, count in enumerate(instants):
-        alone = launches.launches(draws[row : row + 1], [count])
-        bounds = [(piece.first, piece.last) for launch in alone for piece in launch]
-        assert (bounds[0][0], bounds[-1][1]) == (0, count)
-        assert [(one.first, one.last) for launch in cut for one in launch if one.row == row] == bounds
-    last = [max(-(-piece.here.stop // 16) for piece in launch) for launch in cut]
-    assert last == [3, 4, 4, 4, 3, 4, 4, 2]  # the two that stand still share a tile
-
-
-@pytest.mark.skipif(not OPENCL, reason="no OpenCL device here")
-def test_opencl_and_numpy_agree(text, chunk):
-    """OPDs agree to about 1e-7 waves (rounding over 100 m), so Strehl ratios to a few times that."""
-    twin = workflow.compute(text, np.arange(3), "numpy")
-    for name, atol in {
-        "zernike": 1e-4,
-        "los": 1e-6,
-        "wfe_rms_raw": 1e-4,
-        "strehl": 1e-6,
-        "exposure": 1e-5,
-    }.items():
-        np.testing.assert_allclose(chunk.arrays[name][:3], twin.arrays[name], rtol=0, atol=atol, err_msg=name)
 
 
 @pytest.mark.parametrize("name", ["mount", "m2"])
@@ -360,29 +297,6 @@ def test_tilts_beyond_imaging_quarantine_their_case_alone(study):
     result = workflow.compute(steep.identity_text(), np.array([0, 1]), DEVICE)
     assert result.status[0] == RAISED
     assert "moments" in result.messages[0]
-
-
-def test_preparation_has_the_same_bits_on_any_number_of_threads():
-    """The driver prepares on all its threads, workers on one; what is stored must not tell."""
-    text = load_study("tmt-segments").identity_text()  # large enough for BLAS to split its work
-    benches = []
-    for threads in (1, 2):
-        with threadpool_limits(threads):
-            benches.append(bench_of.__wrapped__(text))
-    for name in ("zernike", "los", "centroid", "strehl", "segment_phase"):
-        np.testing.assert_array_equal(*(getattr(bench.static, name) for bench in benches))
-    np.testing.assert_array_equal(*(bench.m2_tilt for bench in benches))
-    np.testing.assert_array_equal(*(bench.prepared.zernike.matrix for bench in benches))
-
-
-def test_long_cases_are_cut_into_launches_without_changing_bits(study, monkeypatch):
-    text = study_with(study, {"disturbance.mount.instants": 70}).identity_text()
-    whole = workflow.compute(text, np.array([2, 3]), DEVICE)
-    monkeypatch.setattr(launches, "_LAUNCH_TILES", 2)
-    cut = workflow.compute(text, np.array([2, 3]), DEVICE)
-    for name in ("zernike", "los", "strehl"):
-        np.testing.assert_array_equal(cut.arrays[name], whole.arrays[name])
-    np.testing.assert_allclose(cut.arrays["exposure"], whole.arrays["exposure"], rtol=1e-12)
 
 
 def test_kept_motion_is_the_motion_that_was_drawn(study):

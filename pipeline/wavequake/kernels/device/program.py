@@ -23,7 +23,7 @@ from wavequake.kernels.device.pocl_processor import known_processor
 from wavequake.kernels.device.pocl_source import for_pocl, has_wide_vectors
 from wavequake.kernels.device.resident import Resident, exclusive, settled
 from wavequake.prepared import count_preparation
-from wavequake.tables import kept
+from wavequake.tables import kept_by
 
 # Rays, or groups of them, in a work-group. One size for all launches: PoCL compiles a kernel for each size.
 _GROUP_RAYS = {"cpu": 125, "gpu": 8}
@@ -286,17 +286,18 @@ class _Binary:
 def _from_binary(device: Device, text: str, options: list[str]) -> Any:
     """Build a program from the binary that an earlier process has kept: PoCL parses all of another.
 
-    A fifth of the time; where its own cache lacks the kernels, they are put back there.
+    A fifth of the time; where its own cache lacks the kernels, they are put back there. Source, options,
+    driver and processor decide all of it: other versions of this package take it, too.
     """
     import pyopencl as cl
 
-    def binary(*known_by: object) -> _Binary:
+    def binary() -> _Binary:
         found = _from_source(device, text, options).get_info(cl.program_info.BINARIES)
         return _Binary(np.frombuffer(found[0], np.uint8))
 
     handle = opencl_handle(device)
     driver = handle.name, handle.version, handle.driver_version, known_processor()
-    content = kept(_Binary, binary, text, options, driver).content.tobytes()
+    content = kept_by(_Binary, "program", (text, options, driver), binary).content.tobytes()
     return cl.Program(_context(device), [handle], [content]).build(options)
 
 
