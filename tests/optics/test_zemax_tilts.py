@@ -140,5 +140,5 @@ def test_planes_on_the_object_are_its_own():
     assert system.object_distance == plain.object_distance == 75.0
     assert [surface.name for surface in system.surfaces] == ["surface 2", "surface 3", "surface 4"]
     assert (system.stop, plain.stop) == (0, 0)
-    with pytest.raises(UserError, match="the distance must be positive"):
+    with pytest.raises(UserError, match="stands in the first surface; move it off"):
         info(parsed("CURV 0.01; DISZ 75", *lens, distance="0", header=header))
