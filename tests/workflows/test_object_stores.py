@@ -256,11 +256,10 @@ def wait_for_chunks(path, count):
         time.sleep(0.05)
 
 
-def test_four_shards_together_fill_a_store(path, tmp_path):
-    with ThreadPoolExecutor(4) as pool:
-        runs = [pool.submit(toy.run, path, cases=37, chunk=CHUNK, shard=f"{i}/4") for i in range(4)]
-        assert sum(one.result().computed for one in runs) == 37
-    toy.run(tmp_path / "s", cases=37, chunk=CHUNK)
+def test_shards_fill_a_store_together(path, tmp_path):
+    runs = [toy.run(path, cases=17, chunk=CHUNK, shard=f"{i}/2") for i in range(2)]
+    assert [one.computed for one in runs] == [10, 7]
+    toy.run(tmp_path / "s", cases=17, chunk=CHUNK)
     identical(path, tmp_path / "s")
 
 
