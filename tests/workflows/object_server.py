@@ -1,8 +1,11 @@
 """A local S3 server for tests: moto's, which answers one request after the other.
 
 Moto looks at a condition and writes in two steps: with threads, another PUT might come between them. S3
-has no such gap, and this has none.
+has no such gap, and this has none. A thread for each connection all the same: a client that keeps one open
+without a word holds nobody up.
 """
+
+from threading import Lock
 
 from moto.server import DomainDispatcherApplication, create_backend_app
 from werkzeug.serving import WSGIRequestHandler, make_server
@@ -13,10 +16,19 @@ class Quiet(WSGIRequestHandler):
         pass
 
 
+def one_at_a_time(answer):
+    """Return a WSGI application that answers as another does, no two requests at once."""
+    turn = Lock()
+
+    def answer_in_turn(environ, start_response):
+        with turn:
+            return list(answer(environ, start_response))
+
+    return answer_in_turn
+
+
 if __name__ == "__main__":
-    server = make_server(
-        "127.0.0.1", 0, DomainDispatcherApplication(create_backend_app), request_handler=Quiet
-    )
+    app = one_at_a_time(DomainDispatcherApplication(create_backend_app))
+    server = make_server("127.0.0.1", 0, app, threaded=True, request_handler=Quiet)
     print(server.server_port, flush=True)
-    pass
     server.serve_forever()

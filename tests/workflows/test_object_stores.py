@@ -256,10 +256,10 @@ def wait_for_chunks(path, count):
         time.sleep(0.05)
 
 
-def test_shards_fill_a_store_together(path, tmp_path):
-    runs = [toy.run(path, cases=17, chunk=CHUNK, shard=f"{i}/2") for i in range(2)]
-    assert [one.computed for one in runs] == [10, 7]
-    toy.run(tmp_path / "s", cases=17, chunk=CHUNK)
+def test_shards_fill_a_store_together_at_the_same_time(path, tmp_path):
+    running = [driver(path, 0.02, cases=37, chunk=CHUNK, shard=f"{i}/4") for i in range(4)]
+    assert [one.wait(120) for one in running] == [0] * 4
+    toy.run(tmp_path / "s", {"sleep_s": 0.02}, cases=37, chunk=CHUNK)
     identical(path, tmp_path / "s")
 
 
