@@ -118,7 +118,7 @@ def export_store(
     """Export a store to one file, or one case to a lens file (.zmx) or displacements (.txt, several files).
 
     Raises as :func:`report_store` and what writes such a file; UserError, too, if no case is said of which a
-    lens file or displacements are made.
+    lens file or displacements are made, or one where all are written.
     """
     if path.suffix.lower() in (".zmx", ".txt"):
         from wavequake.report.exports.displacements import export_displacements
@@ -129,6 +129,8 @@ def export_store(
         if path.suffix.lower() == ".zmx":
             return (export_case(store, path, case, instant, overwrite),)
         return export_displacements(store, path, case, instant, overwrite)
+    if case is not None:
+        raise UserError(f"A {path.suffix} file holds all cases; --case belongs to .zmx and .txt.")
     dataset, target = open_store(store), target_of(path, overwrite)
     with _damage_named(store):
         return (export(dataset, target, overwrite),)
