@@ -147,6 +147,8 @@ def test_a_plan_takes_cases_and_keys_as_a_run_does(tmp_path):
         (lambda: wq.info(wq.load_system("euv"), glass="a.agf"), "A system has its glasses"),
         (lambda: wq.info(wq.load_system("euv"), system__stop=3), "A system has its glasses"),
         (lambda: wq.build_firmware(boards="no"), "no board 'no'"),
+        (lambda: wq.report("nowhere", "study.toml"), "study.toml must end in .html"),
+        (lambda: wq.animate("nowhere", 0, file="film.mp4"), "film.mp4 does not end in .gif, the format"),
         (lambda: wq.export("nowhere", "all.csv", case=3), "all cases; --case belongs to .zmx and .txt"),
     ],
 )

@@ -87,10 +87,12 @@ def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
     ------
     UserError
         If there is no store at `store`, or one of another version that lacks numbers of this one; if the file
-        cannot be written.
+        is no .html or cannot be written.
     StoreDamageError
         If its numbers cannot be read; names the first array that is damaged.
     """
+    if target is not None and target.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"The report {target} must end in .html.")
     shows = seal(store)
     dataset, manifest = open_for_report(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
