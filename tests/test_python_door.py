@@ -136,6 +136,27 @@ def test_a_plan_takes_cases_and_keys_as_a_run_does(tmp_path):
         wq.plan(file, optics__wavelengt=3.0)
 
 
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        *(
+            (lambda s=s: wq.plan("lens-experiment", s), "seconds is .* positive")
+            for s in (0, -1, np.nan, "x")
+        ),
+        *((lambda r=r: wq.run("lens-experiment", recheck=r), "is no share") for r in (5.0, np.nan, "x")),
+        (lambda: wq.info(wq.load_system("euv"), glass="a.agf"), "A system has its glasses"),
+        (lambda: wq.info(wq.load_system("euv"), system__stop=3), "A system has its glasses"),
+        (lambda: wq.build_firmware(boards="no"), "no board 'no'"),
+        (lambda: wq.report("nowhere", "study.toml"), "study.toml must end in .html"),
+        (lambda: wq.animate("nowhere", 0, file="film.mp4"), "film.mp4 does not end in .gif, the format"),
+        (lambda: wq.export("nowhere", "all.csv", case=3), "all cases; --case belongs to .zmx and .txt"),
+    ],
+)
+def test_what_would_be_passed_over_is_told(call, words):
+    with pytest.raises(UserError, match=words):
+        call()
+
+
 def test_importing_loads_nothing_heavy():
     heavy = "{'numpy', 'xarray', 'matplotlib', 'IPython'}"
     code = f"import sys, wavequake; print(sorted({heavy} & set(sys.modules)))"

@@ -310,6 +310,7 @@ def write_strip(folder, form):
                 nodes = [str(node + 1) for node in elements[k]]
                 lines += [f"{k + 1}, {', '.join(nodes[:10])},", ", ".join(nodes[10:])]
         lines += ["*ELSET, ELSET=UPPER", "LAYER1", "*ELSET, ELSET=BOTH, GENERATE", f"1, {len(elements)}"]
+        lines += ["*ELSET, ELSET=NONE", "9999"]
     else:
         order = [*range(12), 16, 17, 18, 19, 12, 13, 14, 15]  # Nastran's, see its CHEXA
         lines = ["BEGIN BULK"]
@@ -346,6 +347,7 @@ def test_materials_of_element_sets_of_a_deck(tmp_path, form, upper):
         (of_metals("UPER"), "strip.inp has no element set 'UPER' .thermal.material., did you mean UPPER"),
         (of_metals("UPPER", youngs_modulus_gpa=None), "several materials needs youngs_modulus_gpa of each"),
         (of_metals("UPPER", density_kg_m3=8100.0), "several materials needs density_kg_m3 of each"),
+        (of_metals("NONE"), "NONE of strip.inp .thermal.material. holds none of its solid elements"),
     ],
 )
 def test_materials_that_are_not_known_are_said(tmp_path, thermal, words):

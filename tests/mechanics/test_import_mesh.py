@@ -77,6 +77,15 @@ def test_damaged_deck(deck, old, new, match):
         read_mesh(deck)
 
 
+def test_a_deck_that_ends_within_a_line_is_cut_off(deck):
+    """A 1.25 that ends as 1.2 reads as a number; keywords and comments may end without an end."""
+    deck.write_text("*NODE\n1, 0, 0, 0\n2, 0, 0, 1.2")
+    with pytest.raises(UserError, match=r"block.inp, line 3 has no end: the file is cut off"):
+        read_mesh(deck)
+    deck.write_text("*NODE\n1, 0, 0, 0\n2, 0, 0, 1.2\n** end")
+    assert read_mesh(deck).points[1, 2] == 1.2
+
+
 def test_deck_without_nodes(deck):
     deck.write_text("*STEP\n*END STEP\n")
     with pytest.raises(UserError, match="has no nodes"):

@@ -14,6 +14,7 @@ from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.shapes.forms.forbes_asphere import ForbesAsphere
 from wavequake.optics.shapes.forms.odd_asphere import OddAsphere
 from wavequake.optics.shapes.forms.toroid import Toroid
+from wavequake.optics.shapes.sag import deformation_sag, shape_sag
 from wavequake.optics.shapes.shapes import (
     Conic,
     EvenAsphere,
@@ -109,14 +110,48 @@ def test_other_shapes_send_light_to_the_same_place_within_1e_5_waves(shape, form
     assert np.abs(away[:2]).max() < 2e-6  # slopes of 1e-8
 
 
+def test_light_that_motion_takes_across_a_surface_still_meets_heights_that_are_right():
+    """A toroid that moves by most of its beam's radius: about the beams at rest a grid would end too soon."""
+    system = system_of(SAMPLED["toroid"], CIRCLE)
+    states = rest_states(system)
+    moved = states.surface_motion.copy()
+    moved[0, 0, :2] = 4.0, -1.0
+    case = replace(states, surface_motion=moved, deformations=(FIGURE[None], None))
+    ours, along = traced(system, case)
+    again = frozen(system, case)
+    away = traced(again, rest_states(again))[0] - ours
+    assert np.abs(away[2] - np.sum(along * away[:2], axis=0)).max() < 1e-5 * WAVELENGTH
+
+
+def test_grids_are_right_along_their_lines_too():
+    """Of x^4 - y^4 what a spline is off cancels in the middle of cells, not halfway along their edges."""
+    shape = ExtendedPolynomial(-200.0, 0.0, (*[0.0] * 9, 1.0, 0.0, 0.0, 0.0, -1.0), 20.0)
+    surface, numbers = system_of(shape, CIRCLE).surfaces[0], FIGURE * 1e-6
+    found = on_grid.on_grid(surface, numbers, np.array([20.0, 20.0]))
+    x, y = np.meshgrid(*[np.linspace(-20.0, 20.0, 301)] * 2)
+    wanted = shape_sag(shape, x, y)[0] + deformation_sag(CIRCLE, numbers, x, y)[0]
+    assert np.abs(shape_sag(found, x, y)[0] - wanted).max() <= 1.1 * on_grid.MOST_OFF
+
+
+def test_a_surface_where_light_comes_to_a_point_has_a_grid():
+    surface = system_of(SAMPLED["toroid"], CIRCLE).surfaces[0]
+    found = on_grid.on_grid(surface, FIGURE, np.array([1e-17, 0.0]))
+    assert min(found.dx, found.dy) > 1e-4
+
+
 def test_a_surface_that_no_grid_holds_says_so(monkeypatch):
     monkeypatch.setattr(on_grid, "MAX_NODES", 100 * 100)
     tip = OddAsphere(-120.0, 0.0, (1e-3,))  # of a cone
-    with pytest.raises(UserError, match=r"M1 is a OddAsphere .* one of 10000 nodes is .* FILE.txt, hold all"):
+    with pytest.raises(
+        UserError, match=r"M1 is a OddAsphere .* mm off with 3185 nodes .* FILE.txt, hold all"
+    ):
         through_a_file(tip, *FORMS["grid"])
     half = Toroid(-5.6, 0.0, -5.6)  # whose corners are beyond its rim
     with pytest.raises(UserError, match=r"M1 is a Toroid .* does not reach over the square"):
         through_a_file(half, *FORMS["polynomials"])
+    monkeypatch.setattr(on_grid, "MAX_NODES", 60)
+    with pytest.raises(UserError, match=r"and the grid needs more than 60 nodes; displacements"):
+        through_a_file(SAMPLED["polynomial"], *FORMS["both"])
 
 
 def test_the_light_of_a_near_object_turns_as_the_system_turns_the_other_way():

@@ -13,10 +13,10 @@ from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import bundle_rotation, moving, pack
 from wavequake.optics.rays.pupils import sunflower
-from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.kinematics import at_instant, rest_states
 from wavequake.report.exports.displacements import displacements, export_displacements
 from wavequake.report.exports.lens_file import export_case
-from wavequake.workflows.systems.bench import at_instant, system_bench, system_states
+from wavequake.workflows.systems.bench import system_bench, system_states
 from wavequake.workflows.systems.disturbance import draw
 
 STUDY = """

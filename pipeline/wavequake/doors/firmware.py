@@ -17,7 +17,7 @@ def build_firmware(
     study: str | Path | Study = "lens-experiment",
     to: str | Path = "firmware-build",
     *,
-    boards: Iterable[str] = ("due",),
+    boards: str | Iterable[str] = ("due",),
     arithmetic: str = "q31",
     controller: str | Path = "nominal",
     plant: int = 0,
@@ -32,7 +32,7 @@ def build_firmware(
         Of the workflow lens-experiment.
     to : str or Path
         Folder of headers and images.
-    boards : iterable of {"due", "uno", "qemu", "simavr", "host"}
+    boards : iterable of {"due", "uno", "qemu", "simavr", "host"}, or one of them
         None of them: the header alone.
     arithmetic : {"float", "q31", "q16"}
     controller : str or Path
@@ -63,7 +63,7 @@ def build_firmware(
 
     made, folder = _designed(study, overrides, controller, plant, record), Path(to)
     gains = gains_of(made.regulator, made.chain, arithmetic)
-    names = list(boards)
+    names = [boards] if isinstance(boards, str) else list(boards)
     if not names:
         return [write_header(gains, folder) / "wq_gains.h"]
     return [build(board, gains, folder).path for board in names]

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wavequake.errors import UserError
 from wavequake.notebook import progress_bar
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def info(what: "str | Path | OpticalSystem", glass: str | Path | None = None, **
     Raises
     ------
     UserError
-        If there is no such thing, or it cannot be read.
+        If there is no such thing, it cannot be read, or glasses or keys are given for a system.
 
     Examples
     --------
@@ -66,6 +67,8 @@ def info(what: "str | Path | OpticalSystem", glass: str | Path | None = None, **
     from wavequake.workflows.systems.source import described
 
     if not isinstance(what, str | Path):
+        if glass is not None or overrides:
+            raise UserError("A system has its glasses and numbers; give them to load_system.")
         return table(what)
     keys = [f"{key.replace('__', '.')}={value}" for key, value in overrides.items()]
     catalogue = None if glass is None else Path(glass)

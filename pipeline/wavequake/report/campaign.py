@@ -87,10 +87,12 @@ def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
     ------
     UserError
         If there is no store at `store`, or one of another version that lacks numbers of this one; if the file
-        cannot be written.
+        is no .html or cannot be written.
     StoreDamageError
         If its numbers cannot be read; names the first array that is damaged.
     """
+    if target is not None and target.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"The report {target} must end in .html.")
     shows = seal(store)
     dataset, manifest = open_for_report(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
@@ -118,7 +120,7 @@ def export_store(
     """Export a store to one file, or one case to a lens file (.zmx) or displacements (.txt, several files).
 
     Raises as :func:`report_store` and what writes such a file; UserError, too, if no case is said of which a
-    lens file or displacements are made.
+    lens file or displacements are made, or one where all are written.
     """
     if path.suffix.lower() in (".zmx", ".txt"):
         from wavequake.report.exports.displacements import export_displacements
@@ -129,6 +131,8 @@ def export_store(
         if path.suffix.lower() == ".zmx":
             return (export_case(store, path, case, instant, overwrite),)
         return export_displacements(store, path, case, instant, overwrite)
+    if case is not None:
+        raise UserError(f"A {path.suffix} file holds all cases; --case belongs to .zmx and .txt.")
     dataset, target = open_store(store), target_of(path, overwrite)
     with _damage_named(store):
         return (export(dataset, target, overwrite),)

@@ -74,6 +74,8 @@ def animate(
             "an MP4 needs the program ffmpeg, which is not on the PATH: install the package ffmpeg "
             "(apt install ffmpeg, brew install ffmpeg), or take the format gif"
         )
+    if file is not None and Path(file).suffix.lower() != f".{kind}":
+        raise UserError(f"{file} does not end in .{kind}, the format; name it so, or choose another format")
     film = film_of(Path(store), [case], tell)
     names = [take.of for take in film.takes]
     first = next((name for name in names if not name.startswith("mode ")), names[0])

@@ -208,7 +208,7 @@ def run(
     loaded = chosen_study(study, overrides, cases)
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
-    share = share_of(recheck) if isinstance(recheck, str) else recheck
+    share = share_of(recheck)
     if part is None and not repair and not share and finished_study(loaded, path) is not None:
         return open_store(path)
     how: dict[str, Any] = {

@@ -10,19 +10,23 @@ from wavequake.campaign.store.journal import Chunk
 from wavequake.errors import UserError
 
 
-def share_of(text: str) -> float:
-    """Read a share such as ``1%`` or ``0.01``.
+def share_of(text: str | float) -> float:
+    """Read a share such as ``1%`` or ``0.01``, or check a number.
 
     Raises
     ------
     UserError
-        If the text is no share from 0 to 1.
+        If it is no share from 0 to 1.
     """
-    match = re.fullmatch(r"(\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})\s*(%?)", text.strip())
-    share = float(match[1]) / (100 if match[2] else 1) if match else -1.0
+    share = _read(text) if isinstance(text, str) else text
     if not 0 <= share <= 1:
         raise UserError(f"--recheck {text!r} is no share: write 1% or 0.01, from 0 to 100%.")
     return share
+
+
+def _read(text: str) -> float:
+    match = re.fullmatch(r"(\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})\s*(%?)", text.strip())
+    return float(match[1]) / (100 if match[2] else 1) if match else -1.0
 
 
 def pieces_of(plan: Sequence[Chunk], cases: int, chunk: int, shard: Shard | None) -> list[Chunk]:

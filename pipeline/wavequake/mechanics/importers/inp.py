@@ -118,6 +118,10 @@ def _blocks(path: Path) -> list[Block]:
         keyword, data, first = words[0].upper(), [], number + 1
         if keyword == "INCLUDE" and options.get("INPUT"):
             blocks += _blocks(path.parent / options["INPUT"])
+    if text and not text.startswith(b"*"):  # a number that is cut off may still read as one
+        raise UserError(
+            f"{path.name}, line {number} has no end: the file is cut off, or its last line needs an end"
+        )
     return [*blocks, (keyword, options, b"\n".join(data), first)]
 
 

@@ -128,9 +128,12 @@ def _materials(grid: MeshFile, body: Solid, thermal: Thermal) -> tuple[Solid, li
     layers = {kind: np.zeros(len(elements), dtype=np.int64) for kind, elements in body.cells.items()}
     for number, one in enumerate(thermal.material, start=1):
         choice = one.elements if isinstance(one.elements, tuple) else (one.elements,)
-        for kind, chosen in chosen_elements(grid, choice, "thermal.material").items():
-            if kind in layers:
-                layers[kind][chosen] = number
+        found = chosen_elements(grid, choice, "thermal.material")
+        if not any(found[kind].any() for kind in layers):
+            names = ", ".join(map(str, choice))
+            raise UserError(f"{names} of {grid.source} (thermal.material) holds none of its solid elements")
+        for kind, layer in layers.items():
+            layer[found[kind]] = number
     materials = [
         Material(
             one.expansion_per_k, one.poisson_ratio, one.youngs_modulus_gpa or 1.0, one.density_kg_m3 or 1.0

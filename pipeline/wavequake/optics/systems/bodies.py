@@ -17,7 +17,7 @@ from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.segments.kinematics import cardan, cardan_angles
 from wavequake.optics.systems.kinematics import motion_about, rest_poses, rest_states
-from wavequake.optics.systems.system import OpticalSystem, wavelength_of
+from wavequake.optics.systems.system import OpticalSystem, SystemStates, wavelength_of
 
 Array = NDArray[np.float64]
 
@@ -138,24 +138,27 @@ def beam_radii(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
     return _reach(system, surfaces)[:, 2]
 
 
-def beam_extents(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
-    """Return the largest |x| and |y| (len(surfaces), 2) of the beams of all fields, mm; as `beam_radii`."""
-    return _reach(system, surfaces)[:, :2]
+def beam_extents(system: OpticalSystem, surfaces: Sequence[int], states: SystemStates | None = None) -> Array:
+    """Return the largest |x| and |y| (len(surfaces), 2) of the beams of all fields, mm; as `beam_radii`.
+
+    Of light that is aimed at rest, by default also at rest, or in `states` of the system.
+    """
+    return _reach(system, surfaces, states)[:, :2]
 
 
-def _reach(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
+def _reach(system: OpticalSystem, surfaces: Sequence[int], states: SystemStates | None = None) -> Array:
     """Return the largest |x|, |y| and distance from the vertex (len(surfaces), 3); raises as `beam_radii`."""
     wavelength = wavelength_of(system)
     if not surfaces:
         return np.zeros((0, 3))
-    whole, rest = pack(system, wavelength), moving(system, rest_states(system))
+    whole, light = pack(system, wavelength), moving(system, states or rest_states(system))
     reach = np.zeros((len(surfaces), 3))
     for field in system.fields:
         rays = _rays(system, field, wavelength)
         for place, surface in enumerate(surfaces):
             count = surface + 1
             sequence = replace(whole, elements=whole.elements[:count])
-            poses = Moving(rest.poses[:, :count], rest.deformations[:count], rest.grids[:count])
+            poses = Moving(light.poses[:, :count], light.deformations[:count], light.grids[:count])
             traced = trace_sequence(sequence, rays, poses, NUMPY, ignore_apertures=True)
             away = np.nan_to_num([np.abs(traced.x), np.abs(traced.y), np.hypot(traced.x, traced.y)])
             reach[place] = np.maximum(reach[place], away.max(axis=(1, 2)))

@@ -22,9 +22,10 @@ from wavequake.optics.shapes.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.systems.kinematics import moved_poses
+from wavequake.optics.systems.bodies import beam_extents
+from wavequake.optics.systems.kinematics import at_instant, moved_poses
 from wavequake.optics.systems.on_grid import on_grid
-from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, Surface, SystemStates
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,11 @@ def frozen(system: OpticalSystem, states: SystemStates, instant: int = 0) -> Opt
     surfaces = []
     for index, surface in enumerate(system.surfaces):
         given = states.deformations[index]
-        shape = surface.shape if given is None else _deformed(system, index, given[instant])
+        shape = surface.shape if given is None else _deformed(surface, given[instant])
+        if shape is None:
+            assert given is not None
+            reach = [beam_extents(system, [index], one)[0] for one in (None, at_instant(states, instant))]
+            shape = on_grid(surface, given[instant], np.max(reach, axis=0))
         surfaces.append(
             replace(
                 surface, shape=shape, deformation=None, position=position[index], rotation=rotation[index]
@@ -76,8 +81,9 @@ def _turned(fields: Array, turn: Array) -> Array:
     return angles
 
 
-def _deformed(system: OpticalSystem, index: int, numbers: Array) -> Shape:
-    shape, form = system.surfaces[index].shape, system.surfaces[index].deformation
+def _deformed(surface: Surface, numbers: Array) -> Shape | None:
+    """Return a shape and its deformation as one, if there is a form that holds both."""
+    shape, form = surface.shape, surface.deformation
     if not numbers.any():
         return shape
     found: Shape | None = shape
@@ -87,7 +93,7 @@ def _deformed(system: OpticalSystem, index: int, numbers: Array) -> Shape:
         found = _with_zernike(shape, form, numbers[: form.terms])
     if found is not None and isinstance(grid, GridDeformation) and rough.any():
         found = _with_grid(found, grid, rough.reshape(grid.rows, grid.columns))
-    return on_grid(system, index, numbers) if found is None else found
+    return found
 
 
 def _with_zernike(shape: Shape, form: ZernikeDeformation, terms: Array) -> ZernikeSag | GridSag | None:

@@ -241,6 +241,16 @@ def rest_states(system: OpticalSystem, instants: int = 1) -> SystemStates:
     )
 
 
+def at_instant(states: SystemStates, instant: int) -> SystemStates:
+    """Return the states of one instant alone."""
+    part = slice(instant, instant + 1)
+    return SystemStates(
+        states.surface_motion[part],
+        tuple(None if form is None else form[part] for form in states.deformations),
+        states.line_of_sight[part],
+    )
+
+
 def _no_deformation(deformation: Deformation | None, instants: int) -> Array | None:
     if deformation is None:
         return None

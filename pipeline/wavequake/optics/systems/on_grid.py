@@ -9,17 +9,17 @@ from wavequake.errors import UserError
 from wavequake.optics.shapes.sag import deformation_sag
 from wavequake.optics.shapes.sag_file import MAX_NODES
 from wavequake.optics.shapes.shapes import Conic, GridDeformation, GridSag
-from wavequake.optics.systems.bodies import beam_extents
-from wavequake.optics.systems.system import OpticalSystem, Surface
+from wavequake.optics.systems.system import Surface
 
 Array = NDArray[np.float64]
 
 MOST_OFF = 2e-9  # mm: a mirror adds twice as much to the path, 1e-5 waves of visible light
-_MARGIN = 1.05  # of what the beams fill at rest, for those that move
-_INTERVALS = 64
+_MARGIN = 1.05  # of what the beams fill: splines are worst at their edges
+_LEAST = 1e-2  # mm, where light comes to a point
+_INTERVALS = 60
 
 
-def on_grid(system: OpticalSystem, index: int, numbers: Array) -> GridSag:
+def on_grid(surface: Surface, numbers: Array, reach: Array) -> GridSag:
     """Return heights that are those of a surface within 2e-9 mm wherever the beams come.
 
     The grid is refined until it is so. Nodes of a grid that deforms the surface stay nodes, so that its
@@ -27,20 +27,19 @@ def on_grid(system: OpticalSystem, index: int, numbers: Array) -> GridSag:
 
     Parameters
     ----------
-    system : OpticalSystem
-    index : int
-        Of the surface.
+    surface : Surface
     numbers : ndarray
         Of its deformation, as `wavequake.optics.shapes.sag.deformation_sag` takes them.
+    reach : ndarray, shape (2,)
+        Largest abs(x) and abs(y) of the beams on the surface, mm.
 
     Raises
     ------
     UserError
         If no grid of at most 262,144 nodes is fine enough, or the surface does not reach over the grid.
     """
-    surface = system.surfaces[index]
-    (reach,) = beam_extents(system, [index])
-    off = np.inf
+    reach = np.maximum(reach, _LEAST)
+    why = f"needs more than {MAX_NODES} nodes"
     for nodes_x, nodes_y in _grids(surface, reach):
         heights = _heights(surface, numbers, *np.meshgrid(nodes_x, nodes_y))
         if not np.isfinite(heights).all():
@@ -60,17 +59,20 @@ def on_grid(system: OpticalSystem, index: int, numbers: Array) -> GridSag:
         off = float(np.abs(found.over_conic(*between)[0] - _heights(surface, numbers, *between)).max())
         if off <= MOST_OFF:
             return found
+        why = f"is {off:.1g} mm off with {heights.size} nodes (at most {MOST_OFF:g} are right to 1e-5 waves)"
     raise UserError(
         f"The surface {surface.name} is a {type(surface.shape).__name__} that deforms, which a lens file can "
-        f"hold as heights on a grid only, and the finest one of {MAX_NODES} nodes is {off:.1g} mm off (at "
-        f"most {MOST_OFF:g} are right to 1e-5 waves); displacements, FILE.txt, hold all."
+        f"hold as heights on a grid only, and the grid {why}; displacements, FILE.txt, hold all."
     )
 
 
 def _between(nodes: Array, reach: float) -> Array:
-    """Return the places halfway between nodes, where a spline is farthest off, as far as light comes."""
-    middle: Array = (nodes[1:] + nodes[:-1]) / 2.0
-    return middle[np.abs(middle) <= reach]
+    """Return nodes and the places halfway between, as far as light comes.
+
+    A spline is farthest off halfway; along x alone or y alone where what both do cancels (x^4 - y^4).
+    """
+    places: Array = np.linspace(nodes[0], nodes[-1], 2 * len(nodes) - 1)
+    return places[np.abs(places) <= reach]
 
 
 def _heights(surface: Surface, numbers: Array, x: Array, y: Array) -> Array:

@@ -15,6 +15,7 @@ from wavequake.mechanics.vibration.drive import values
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import respond
 from wavequake.optics.shapes.motion_fit import figures, motion_fit
+from wavequake.optics.systems.kinematics import at_instant
 from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report.segments.report import detail
 from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of, measured_opd
@@ -38,7 +39,6 @@ from wavequake.workflows.segments.bench import field_names
 from wavequake.workflows.systems.bench import (
     MM_PER_M,
     NM_PER_MM,
-    at_instant,
     system_bench,
     system_states,
 )

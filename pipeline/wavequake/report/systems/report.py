@@ -16,6 +16,7 @@ from wavequake.campaign.store.store import read_manifest
 from wavequake.drawing.periodogram import has_spectrum
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import Combine, instants_of
+from wavequake.optics.systems.kinematics import at_instant
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import wavelength_of
 from wavequake.optics.wavefronts.wavefront import trace_system
@@ -44,7 +45,6 @@ from wavequake.words import counted
 from wavequake.workflows.systems.bench import (
     NM_PER_MM,
     SystemBench,
-    at_instant,
     beyond_rounding,
     field_name,
     system_bench,

@@ -24,6 +24,7 @@ from wavequake.workflows.study import chosen_study
 
 _PILOT_S = 0.05  # a pilot that is shorter says little: it is repeated with more cases
 _LONG_S = 2.5  # a pilot of more cases than one takes no longer
+_LONGEST_S = 1e8  # that clocks of all systems count
 # Engine and store shall take at most 2 % of a chunk; but a chunk is what a crash may cost, and the least that
 # a worker takes on.
 _CHUNK_S = (2.0, 10.0)
@@ -60,6 +61,8 @@ def plan(
     >>> plan("tmt-segments")["cases"]  # doctest: +SKIP
     '1000 in 50 chunks of 20'
     """
+    if seconds is not None and not (isinstance(seconds, int | float) and 0.0 < seconds <= _LONGEST_S):
+        raise UserError(f"seconds is {seconds!r}; it must be a positive number, or None, which waits.")
     return planned(chosen_study(study, overrides, cases), seconds, store)
 
 

@@ -30,7 +30,7 @@ from wavequake.optics.systems.bodies import (
     with_bodies,
 )
 from wavequake.optics.systems.file import build
-from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.kinematics import at_instant, rest_states
 from wavequake.optics.systems.system import OpticalSystem, SystemStates
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.wavefront import (
@@ -342,16 +342,6 @@ def lost_light(prepared: PreparedSystem, states: SystemStates, instant: int) -> 
     return (
         f"{np.count_nonzero(status != OK)} of {len(status)} rays of {light_of(prepared)} are lost, "
         f"{losses(prepared.system, np.where(behind, OK, status), surface)}"
-    )
-
-
-def at_instant(states: SystemStates, instant: int) -> SystemStates:
-    """Return the states of one instant alone."""
-    part = slice(instant, instant + 1)
-    return SystemStates(
-        states.surface_motion[part],
-        tuple(None if form is None else form[part] for form in states.deformations),
-        states.line_of_sight[part],
     )
 
 
