@@ -245,6 +245,16 @@ def test_a_store_that_cannot_be_written_says_so(wavequake, tiny, tmp_path):
     assert "file" in err
 
 
+def test_no_plan_ends_a_process_that_is_anothers(wavequake, tiny, monkeypatch):
+    """Where it is the command's own, it ends with a last word; here it would end the tests."""
+    seen = []
+    monkeypatch.setattr("wavequake.workflows.planning.plan.planned", lambda *given: seen.append(given) or {})
+    assert wavequake("plan", tiny)[0] == 0
+    ((_, seconds, _, last_word),) = seen
+    assert seconds > 5.0
+    assert last_word is None
+
+
 def test_quarantined_cases_end_with_exit_code_3_and_their_reason(wavequake, tiny, tmp_path):
     store = tmp_path / "store"
     code, out, err = run_tiny(

@@ -13,6 +13,7 @@ import psutil
 system, *sys.argv = sys.argv[1:]
 gone = {"pyopencl", "pocl_binary_distribution"}
 del os.sched_getaffinity, os.sched_setaffinity
+os.process_cpu_count = os.cpu_count  # as Python 3.13 has it where there is no affinity
 if system == "windows":
     gone |= {"fcntl", "resource", "pwd", "grp", "termios"}
     del signal.SIGHUP

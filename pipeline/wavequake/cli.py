@@ -44,6 +44,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+_own = False  # is the process that of the command alone?
 _PLAN_S = 6.0  # since the command began; what compiled code does is waited for a moment longer
 StudyArgument = Annotated[
     str,
@@ -56,11 +57,14 @@ OverridesArgument = Annotated[
 ]
 
 
-def main(came: Sequence[float] = ()) -> None:
+def main(came: Sequence[float] | None = None) -> None:
     """Run the command line; the exit code says how it ended (0, 1, 2, 3, 4 or 130).
 
-    `came` has the times at which signals came to end it: what is raised later is their consequence.
+    `came` has the times at which signals came to end it: what is raised later is their consequence. Without
+    it the process is another's, which no command may end.
     """
+    global _own
+    _own = came is not None
     debug = "--debug" in sys.argv  # before or after the command
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -221,8 +225,9 @@ def plan(
         from wavequake.report.answers.accuracy import accuracy_of, plan_accuracy
 
         wanted = accuracy_of(accuracy)
-    rest = max(0.5, _PLAN_S - (time.monotonic() - BEGUN))
-    print_pairs(planned(loaded, None if wait or wanted is not None else rest, store, _end_with))
+    rest = max(0.5, _PLAN_S - (time.monotonic() - BEGUN)) if _own else _PLAN_S
+    last_word = _end_with if _own else None
+    print_pairs(planned(loaded, None if wait or wanted is not None else rest, store, last_word))
     if wanted is not None:
         print_pairs(plan_accuracy(loaded, wanted, measure, [study, *(overrides or [])]))
 
