@@ -69,6 +69,15 @@ def test_whole_delays_have_the_closed_forms_of_an_integrator(latency):
         assert found.peak == pytest.approx(2 / (2 - gain), rel=1e-9)
 
 
+@pytest.mark.parametrize("latency", [0, 1, 2, 3])
+def test_margins_read_off_a_curve_are_the_closed_forms_within_what_its_steps_show(latency):
+    """Without latency the margin lies at half the rate, where no curve is drawn."""
+    n, gain, hertz = latency + 1, 0.1, np.geomspace(0.25, 250.0, 200)
+    found = curve(scalar(gain, latency), hertz)
+    assert gain * found.gain_up == pytest.approx(2 * np.sin(np.pi / (2 * (2 * n - 1))), rel=2e-4)
+    assert found.phase == pytest.approx(np.pi / 2 - (2 * n - 1) * np.arcsin(gain / 2), rel=2e-4)
+
+
 @pytest.mark.parametrize("late", [0.1, 0.25, 0.4, 0.49, 0.75, 0.9])
 def test_fractions_of_a_frame_have_the_closed_form(late):
     """g z^-1 (1 - d + d z^-1) / (1 - z^-1) is stable below min(1 / d, 2 / (1 - 2 d))."""
@@ -125,7 +134,8 @@ def test_margins_are_those_of_python_control():
 
 def test_curves_of_a_pure_delay_are_those_by_frames():
     hertz = np.geomspace(0.1, 300.0, 50)
-    gain, rejection, passed = curve(scalar(0.3, 1), hertz)
+    found = curve(scalar(0.3, 1), hertz)
+    gain, rejection, passed = found.gain, found.rejection, found.passed
     inside = hertz < 250.0
     wanted = residual.loop_gain(controllers.integrator(0.3, 2), T, hertz[inside])
     np.testing.assert_allclose(gain[inside], wanted, rtol=1e-9)

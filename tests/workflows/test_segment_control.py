@@ -11,9 +11,11 @@ from scipy.integrate import quad
 
 import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.control.sampled.flexible_left import flexible_margins
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.spectra import resonance
 from wavequake.report.loops.segment_control import answer, bandwidths_of, row_of, rows_of
+from wavequake.report.loops.spectra import of_density
 from wavequake.workflows.loops import segment_control, segment_control_bench
 from wavequake.workflows.loops.loop_margins import loop_named, loops_of
 from wavequake.workflows.loops.segment_control_bench import bench_of, loop_of
@@ -81,6 +83,17 @@ def test_what_is_left_is_that_of_the_closed_forms():
     assert found.limit_hz == pytest.approx(np.arcsin(0.5) * 50 / np.pi, rel=1e-8)  # g_max = 1
 
 
+def test_spectra_add_up_to_what_is_left(bench):
+    """Of the structure and of noise; of the wind without a loop a part is slower than what is drawn."""
+    one = bench.loops[1]
+    left = of_density("left", bench.hertz, one.shaken_density).above[0]
+    assert left == pytest.approx(np.hypot(one.wind, one.structure), rel=0.01)
+    noise = of_density("noise", bench.hertz, one.noise_density, flat=True).above[0]
+    assert noise == pytest.approx(one.noise, rel=0.01)
+    shaken = of_density("open", bench.hertz, bench.open_density).above[0]
+    assert 0.9 < shaken / np.hypot(bench.open_wind, bench.open_structure) < 1.0
+
+
 def test_the_first_case_has_no_errors_and_the_limit_of_the_poles(bench):
     first, second = (segment_control._case(bench, one, Stopwatch()) for one in (0, 1))
     # Tenths of the gain are halved seven times, and the middle is taken.
@@ -93,6 +106,10 @@ def test_the_first_case_has_no_errors_and_the_limit_of_the_poles(bench):
 
 
 def test_margins_agree_with_the_limit_and_parts_go_to_other_tools(bench):
+    fast = bench.loops[1]
+    exact = flexible_margins(fast.found)  # by poles; the curve's are read off its frequencies
+    assert fast.curve.gain_up == pytest.approx(exact.gain_up, rel=2e-3)
+    assert fast.curve.phase == pytest.approx(exact.phase, rel=2e-3)
     found = {one.name: one for one in loops_of(study())}
     one = found["1 Hz"]
     assert one.stable
@@ -126,7 +143,15 @@ def test_a_run_says_how_fast_and_what_remains(tmp_path, drawn):
     assert "unstable" not in rows_of([slow, fast])[0]  # no column of nothing
     assert [row["unstable"][0] for row in rows_of([slow, grows])] == ["", "2.00 1/s"]
     assert slow.total > fast.total
-    assert "<path" in (wq.report(tmp_path / "s")).read_text()
+    page = wq.report(tmp_path / "s").read_text()
+    for title in (
+        "Loop gain over frequency with its margins",
+        "Loop gain in the complex plane",
+        "Sensitivity and complementary sensitivity",
+        "Spectrum of the surface, and how its rms adds up",
+        "What sensor noise does to the surface",
+    ):
+        assert title in page
 
 
 @pytest.mark.parametrize(

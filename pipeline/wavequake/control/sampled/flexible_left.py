@@ -12,7 +12,8 @@ import numpy as np
 from wavequake.control.linear import Array
 from wavequake.control.robustness.margins import Margins
 from wavequake.control.sampled.flexible import Complex, FlexibleLoop, Reduced, poles, response
-from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid
+from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid, read_margins
+from wavequake.control.sampled.stability import LoopCurve, nearest_to_minus_one
 
 # Where integrals are parted about a pole, in its half widths.
 _ABOUT = np.array([-10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0])
@@ -105,6 +106,18 @@ def sensitivity_of(found: Reduced, hertz: Array) -> tuple[Array, Array]:
     shapes = found.loop.structure.shapes
     by_mode = np.linalg.norm(at.sensitivity @ shapes, axis=1) / np.linalg.norm(shapes, axis=0)
     return np.maximum(values, np.abs(1 / (1 + at.others)).max(axis=1)), by_mode
+
+
+def curve_of(found: Reduced, hertz: Array) -> tuple[Array, LoopCurve]:
+    """Return the largest singular value of the complementary sensitivity (f,), and a stable loop's curve."""
+    at = response(found, hertz)
+    others = at.others / (1 + at.others)
+    along = np.eye(at.gain.shape[1]) - at.sensitivity
+    sizes = np.linalg.svd(along, compute_uv=False).max(axis=1, initial=0.0)
+    loci = np.concatenate([np.linalg.eigvals(at.gain), at.others], axis=1)
+    rejection, passed = (np.abs(one).max(axis=1) for one in (1 / (1 + loci), loci / (1 + loci)))
+    curve = LoopCurve(nearest_to_minus_one(loci), rejection, passed, *read_margins(loci))
+    return np.maximum(sizes, np.abs(others).max(axis=1)), curve
 
 
 def flexible_margins(found: Reduced) -> Margins:

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq, linear_sum_assignment, minimize_scalar
 
 from wavequake.control.linear import Array
 from wavequake.control.robustness.margins import Margins
@@ -18,6 +19,8 @@ _FACTORS = np.geomspace(1.0, 1e3, 150)
 # so many factors is tried.
 _NEAR, _BETWEEN = 1.25, 8
 _ROUNDING = 1e-9
+# An eigenvalue that turns by more between two frequencies is not known there; smaller ones are nothing.
+_KNOWN, _TINY = np.radians(60.0), 1e-300
 _POINTS = 1500
 # Eigenvalues whose crossings are followed, and frequencies at which singular values are taken.
 _FINE, _TRIED, _EVENLY = 60, 12, 60
@@ -58,6 +61,29 @@ def gain_margins(gain: LoopGain, hertz: Array, radius: Callable[[float], float])
         float((late / (2 * np.pi * at)).min(initial=np.inf)),
         2 * np.pi * float(hertz[above[-1]]) if len(above) else 0.0,
     )
+
+
+def read_margins(loci: Complex) -> tuple[float, float]:
+    """Read gain and phase margin (rad) off eigenvalues (f, q) of the loop gain of a stable loop.
+
+    Each is followed from frequency to frequency, in between as a logarithmic spiral; where it turns by more
+    than 60 degrees, nothing is known. inf and pi: there is none. `gain_margins` follows all poles instead.
+    """
+    known = loci.copy()
+    for before, now in pairwise(known):
+        now[:] = now[linear_sum_assignment(np.abs(before[:, None] - now))[1]]
+    first, last = known[:-1], known[1:]
+    turn, angle = np.angle(last * first.conj()), np.angle(-first)
+    sizes = np.log(np.maximum(np.abs(known), _TINY))
+    low, high = sizes[:-1], sizes[1:]
+    small = np.abs(turn) < _KNOWN
+    crosses = small & (angle * (angle + turn) <= _ROUNDING) & (np.abs(angle) < _KNOWN) & (turn != 0)
+    share = np.clip(-angle[crosses] / turn[crosses], 0.0, 1.0)
+    at = (1 - share) * low[crosses] + share * high[crosses]
+    meets = small & (low * high <= 0) & (low != high)
+    share = low[meets] / (low - high)[meets]
+    late = np.abs(np.angle(np.exp(1j * (angle[meets] + share * turn[meets]))))
+    return float(np.exp(-at[at < 0].max(initial=-np.inf))), float(late.min(initial=np.pi))
 
 
 def _worth_trying(loci: Complex, factors: Array) -> Array:

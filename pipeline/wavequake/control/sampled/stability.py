@@ -14,7 +14,7 @@ from wavequake.control.linear import Array, LinearModel, frequency_response
 from wavequake.control.robustness.margins import Margins
 from wavequake.control.sampled.alike import Parts, apart, coupled, sizes_of, stacked
 from wavequake.control.sampled.channel import Dynamics, Timing, in_series, sampled_channel
-from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid
+from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid, read_margins
 from wavequake.control.sampled.regulator import Regulator, model_of
 
 Complex = NDArray[np.complex128]
@@ -153,7 +153,7 @@ def _closed(loop: SampledLoop, parts: Parts | None) -> _Closed:
         own = model_of(loop.regulator, period)
         nothing = np.zeros(0, dtype=complex), np.zeros((p, 0))
         return _Closed(channels[0], own, *nothing, plant_model(loop), own, np.eye(p))
-    own = _filter(loop.regulator)
+    own = filter_of(loop.regulator)
     if not loop.structure:
         gains, vectors = _distinct(parts)
         return _Closed(channels[0], own, gains, np.abs(vectors), None, own, parts.basis)
@@ -168,7 +168,7 @@ def _closed(loop: SampledLoop, parts: Parts | None) -> _Closed:
     )
 
 
-def _parts(loop: SampledLoop) -> Parts | None:
+def parts_of(loop: SampledLoop) -> Parts | None:
     """Return what is alike of a loop whose channels share a filter; None if they do not, or see nothing."""
     shown, drives = loop.modes()
     if loop.further or not loop.regulator.shared or not (loop.sees.any() or drives.any()):
@@ -190,7 +190,7 @@ def _parts(loop: SampledLoop) -> Parts | None:
 
 def worst_pole(loop: SampledLoop, factor: float = 1.0) -> Worst:
     """Return the pole that grows most, with the loop gain times a factor."""
-    closed = _closed(loop, _parts(loop))
+    closed = _closed(loop, parts_of(loop))
     found = closed.poles(factor)
     which = int(np.argmax([np.abs(one).max(initial=0.0) for one in found]))
     values = found[which]
@@ -208,7 +208,8 @@ def worst_pole(loop: SampledLoop, factor: float = 1.0) -> Worst:
     return Worst(value, float(rate), float(hertz), channels)
 
 
-def _filter(regulator: Regulator) -> LinearModel:
+def filter_of(regulator: Regulator) -> LinearModel:
+    """Return the filter that all channels of a regulator share."""
     a, b, c, d = regulator.a[0], regulator.b[0], regulator.c[0], regulator.d[0]
     return LinearModel(a, b, c, d)
 
@@ -246,7 +247,7 @@ def _loop_gain(loop: SampledLoop, parts: Parts | None) -> LoopGain:
             lambda hertz: np.asarray(np.linalg.eigvals(full(hertz)), dtype=np.complex128),
             lambda hertz: np.asarray(full(np.array([hertz]))[0]),
         )
-    own = _filter(loop.regulator)
+    own = filter_of(loop.regulator)
     own = LinearModel(own.a, own.b, own.c, own.d, period)
 
     def sizes(hertz: Array) -> Complex:
@@ -273,7 +274,7 @@ def sampled_margins(loop: SampledLoop) -> Margins:
     The last frequency is that at which an eigenvalue of the loop gain reaches 1. The sensitivity is
     (I - K G)^-1 of what the actuators should do, G the plant and K the regulator.
     """
-    parts = _parts(loop)
+    parts = parts_of(loop)
     closed = _closed(loop, parts)
     if parts is None:
         values = np.linalg.eigvals(closed.controller.a).astype(complex)
@@ -284,22 +285,42 @@ def sampled_margins(loop: SampledLoop) -> Margins:
     return gain_margins(_loop_gain(loop, parts), pole_grid(values, loop.timing.period), closed.radius)
 
 
-def curve(loop: SampledLoop, hertz: Array) -> tuple[Complex, Array, Array]:
-    """Return a loop at frequencies in Hz (f,), NaN beyond half the rate of commands.
+@dataclass(frozen=True)
+class LoopCurve:
+    """A loop over frequency, NaN beyond half the rate of commands.
 
-    Returns
-    -------
+    Attributes
+    ----------
     gain : ndarray of complex, shape (f,)
         The eigenvalue of the loop gain that is nearest to -1.
     rejection, passed : ndarray, shape (f,)
         Largest 1 / (1 + L) and L / (1 + L) of an eigenvalue L.
+    gain_up, phase : float
+        Margins (rad) as these frequencies show them, see `wavequake.control.sampled.margins.read_margins`.
     """
-    inside = hertz < 0.5 / loop.timing.period
-    loci = _loop_gain(loop, _parts(loop)).loci(hertz[inside])
-    nearest = np.abs(1.0 + loci).argmin(axis=1)
+
+    gain: Complex
+    rejection: Array
+    passed: Array
+    gain_up: float
+    phase: float
+
+
+def curve(loop: SampledLoop, hertz: Array) -> LoopCurve:
+    """Return a stable loop at rising frequencies in Hz (f,)."""
+    half = 0.5 / loop.timing.period
+    inside = hertz < half
+    # At half the rate a loop gain is real, so that margins of slow loops lie there.
+    every = _loop_gain(loop, parts_of(loop)).loci(np.append(hertz[inside], half))
     gain = np.full(len(hertz), np.nan + 0j)
     rejection, passed = np.full((2, len(hertz)), np.nan)
-    gain[inside] = loci[np.arange(len(loci)), nearest]
+    loci = every[:-1]
+    gain[inside] = nearest_to_minus_one(loci)
     rejection[inside] = (1.0 / np.abs(1.0 + loci)).max(axis=1)
     passed[inside] = np.abs(loci / (1.0 + loci)).max(axis=1)
-    return gain, rejection, passed
+    return LoopCurve(gain, rejection, passed, *read_margins(every))
+
+
+def nearest_to_minus_one(loci: Complex) -> Complex:
+    """Return of eigenvalues (f, q) at each frequency the one that is nearest to -1."""
+    return np.asarray(loci[np.arange(len(loci)), np.abs(1.0 + loci).argmin(axis=1)])

@@ -21,11 +21,11 @@ _GREY, _FLOOR, _REACH = "#444444", 1e-4, 2.5
 _JUMP = 180.0
 # Between two frequencies a locus is an arc of such pieces; one that turns by more is not known in between.
 _PIECE, _KNOWN = np.radians(4.0), np.radians(60.0)
-LOCI = (
+NYQUIST = (
     "The nearer to the cross at -1, the nearer to instability. A curve has a gap where it turns by more than "
-    "60 degrees between two frequencies that were computed."
+    "60 degrees between two frequencies that were computed. Marks on the real axis are gain margins, those "
+    "on the unit circle phase margins."
 )
-NYQUIST = f"{LOCI} Marks on the real axis are gain margins, those on the unit circle phase margins."
 
 
 @dataclass(frozen=True)

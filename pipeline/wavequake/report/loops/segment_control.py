@@ -16,7 +16,16 @@ from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
-from wavequake.report.loops.frequency import logarithmic, style
+from wavequake.report.loops.frequency import (
+    NYQUIST,
+    Curve,
+    bode,
+    logarithmic,
+    nyquist,
+    sensitivities,
+    style,
+)
+from wavequake.report.loops.spectra import Spectrum, of_density, spectra
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
@@ -241,24 +250,69 @@ def _over_frequency(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Sec
     """Return the section of what is known over frequency; unstable loops have no sensitivity."""
     if not any(one.stable for one in loops):
         return []
-    about = "Largest singular value: what is left of a motion of the mirror. Above 1 it grows."
-    shown = picture("sensitivity", "Sensitivity over frequency", _sensitivity(dataset, loops), about)
-    return [Section("Over frequency", [shown])]
+    curves = _curves(dataset, loops)
+    shown = [
+        picture(
+            "bode",
+            "Loop gain over frequency with its margins",
+            bode(curves),
+            "Of each bandwidth the eigenvalue of the loop gain that is nearest to -1. Bars end where a loop "
+            "would be unstable.",
+        ),
+        picture("nyquist", "Loop gain in the complex plane", nyquist(curves), NYQUIST),
+        picture(
+            "sensitivity",
+            "Sensitivity and complementary sensitivity",
+            sensitivities(curves),
+            "Largest singular values: |S| is what is left of a motion of the mirror, |T| what comes of the "
+            "sensors' noise. Above 1 a loop amplifies.",
+        ),
+        picture(
+            "spectrum",
+            "Spectrum of the surface, and how its rms adds up",
+            spectra(_spectra(dataset, loops, "left_psd"), "What is left of wind and structure", "nm"),
+            "Integrals over frequency, exact but for the steps between the frequencies that are drawn; the "
+            "thick line is the surface without a loop. Below is the rms of all that is faster than a "
+            "frequency, up to half the rate of frames. The sensors' noise is not in it.",
+        ),
+    ]
+    if noise := _spectra(dataset, loops, "noise_psd"):
+        shown.append(
+            picture(
+                "noise",
+                "What sensor noise does to the surface",
+                spectra(noise, "Sensor noise in the surface", "nm"),
+                "Noise of all edge sensors through the loop. The faster a loop, the more of it.",
+            )
+        )
+    return [Section("Over frequency", shown)]
 
 
-@rc_context(STYLE)
-def _sensitivity(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
-    hertz, values = dataset["frequency"].to_numpy(), dataset["sensitivity"].to_numpy()
-    for place, (one, row) in enumerate(zip(loops, values, strict=True)):
-        if one.stable:
-            axes.plot(hertz, row, label=f"{one.hertz:g} Hz", **style(place))
-    axes.axhline(1.0, color="#444444", linewidth=0.8)
-    logarithmic(axes)
-    axes.set(xlabel="frequency (Hz)", ylabel="largest |S|", title="Sensitivity")
-    axes.legend(fontsize=7, title="bandwidth")
-    return figure
+def _curves(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Curve]:
+    hertz = dataset["frequency"].to_numpy()
+    size, phase, left, passed, gain_up, margin = (
+        dataset[name].to_numpy()
+        for name in ("loop_gain", "loop_phase", "sensitivity", "complementary", "gain_up", "phase_margin")
+    )
+    gains = size * np.exp(1j * np.radians(phase))
+    return [
+        Curve(f"{one.hertz:g} Hz", hertz, gains[k][:, None], left[k], passed[k], gain_up[k], margin[k])
+        for k, one in enumerate(loops)
+        if one.stable
+    ]
+
+
+def _spectra(dataset: xr.Dataset, loops: Sequence[Bandwidth], key: str) -> list[Spectrum]:
+    """Return the spectra of stable loops, that without a loop first; none of noise where there is none."""
+    hertz, values = dataset["frequency"].to_numpy(), dataset[key].to_numpy()
+    found = [
+        of_density(f"{one.hertz:g} Hz", hertz, row, flat=key == "noise_psd")
+        for one, row in zip(loops, values, strict=True)
+        if one.stable and row.any()
+    ]
+    if key == "left_psd":
+        found.insert(0, of_density("without a loop", hertz, dataset["open_psd"].to_numpy(), calm=True))
+    return found
 
 
 @rc_context(STYLE)

@@ -18,7 +18,8 @@ from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
 from wavequake.report.figures import HEIGHT, STYLE, WIDTH
 from wavequake.report.histories import has_histories, over_time, what_is_kept
-from wavequake.report.loops.frequency import LOCI, Curve, bode, nyquist, sensitivities, style
+from wavequake.report.loops.frequency import style
+from wavequake.report.loops.over_frequency import over_frequency
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import frame_of, left_out
 from wavequake.report.table import number, radius
@@ -351,22 +352,9 @@ def _shown(
         tracks = {name: shown["los"].sel(controller=name).to_numpy()[kept] for name in names}
         wfe = {name: shown["wfe_rms"].sel(controller=name).to_numpy()[kept] for name in names}
         yield from common.history_pictures(disturbance, time[kept] * 1e3, tracks, sight_unit(shown), wfe)
-    if curves := _curves(cases, names):
-        yield picture(
-            f"{disturbance}-bode",
-            "Loop gain over frequency",
-            bode(curves),
-            "Each controller alone: the eigenvalue of the loop gain that is nearest to -1. Curves end at "
-            "half the rate of commands.",
-        )
-        yield picture(f"{disturbance}-nyquist", "Loop gain in the complex plane", nyquist(curves), LOCI)
-        yield picture(
-            f"{disturbance}-rejection",
-            "Sensitivity and complementary sensitivity",
-            sensitivities(curves),
-            "|S| is what is left of a motion, |T| what comes of the sensor's noise. Below 1 a loop helps, "
-            "above 1 it amplifies.",
-        )
+    most = {key: max(getattr(one, key) for one in found) for key in ("los", "wfe")}
+    models = {name: known[name]["model"] for name in names}
+    yield from over_frequency(disturbance, cases, models, sight_unit(cases), most)
 
 
 def telling(found: Sequence[Result], known: dict[str, dict[str, Any]]) -> list[str]:
@@ -380,17 +368,3 @@ def telling(found: Sequence[Result], known: dict[str, dict[str, Any]]) -> list[s
             helps = best.wfe < _HELPS * max(one.wfe for one in mine)
             names.append((best if helps else calm).name)
     return names
-
-
-def _curves(cases: xr.Dataset, names: Sequence[str]) -> list[Curve]:
-    """Return the linear ones of some controllers over frequency."""
-    found, hertz = [], cases["frequency"].to_numpy()
-    for name in names:
-        size, phase, rejection, passed = (
-            cases[key].sel(controller=name).to_numpy()
-            for key in ("loop_gain", "loop_phase", "rejection", "passed_noise")
-        )
-        if np.isfinite(size).any():
-            gain = (size * np.exp(1j * np.radians(phase)))[:, None]
-            found.append(Curve(name, hertz, gain, rejection, passed, np.nan, np.nan))
-    return found

@@ -43,6 +43,7 @@ from wavequake.workflows.loops.segment_control_study import SegmentControlStudy
 
 # Gains that are tried for the limit of a mirror with errors, as shares of the nominal one, and halvings.
 _TRIED, _HALVINGS = (0.02, 0.1, 0.3, 0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0), 7
+_STILL = 1e-6  # deg
 
 
 def cases(study: SegmentControlStudy, ids: Integers) -> CaseTable:
@@ -159,6 +160,7 @@ def fixed(bench: Bench) -> dict[str, Any]:
             np.array([one.sensitivity for one in loops]),
             words("largest singular value of the sensitivity"),
         ),
+        **_over_frequency(bench),
         "singular": (
             ("mirror_mode",),
             bench.stroke_values,
@@ -181,6 +183,44 @@ def fixed(bench: Bench) -> dict[str, Any]:
             else nan,
             words("without the least seen mode"),
         ),
+    }
+
+
+def _over_frequency(bench: Bench) -> dict[str, Any]:
+    """Return curves and spectra of the nominal loops, and margins as these frequencies show them."""
+    loops, hertz = bench.loops, ("bandwidth", "frequency")
+    gains = np.array([one.curve.gain for one in loops])
+    phases = np.degrees(np.angle(gains))
+    # At half the rate a loop gain is real: rounding chooses between -180 and 180 deg.
+    phases = np.where(phases < -180.0 + _STILL, phases + 360.0, phases)
+    surface = "nm^2/Hz"
+    found = {
+        "loop_gain": (hertz, np.abs(gains), "1", "size of the loop gain's eigenvalue nearest to -1"),
+        "loop_phase": (hertz, phases, "deg", "its phase"),
+        "complementary": (
+            hertz, np.array([one.complementary for one in loops]),
+            "1", "largest singular value of the complementary sensitivity",
+        ),
+        "gain_up": (
+            hertz[:1], np.array([one.curve.gain_up for one in loops]),
+            "1", "factor of the gain at which the loop is unstable, as these frequencies show it",
+        ),
+        "phase_margin": (
+            hertz[:1], np.degrees([one.curve.phase for one in loops]),
+            "deg", "phase that makes the loop unstable, as these frequencies show it",
+        ),
+        "open_psd": (hertz[1:], bench.open_density, surface, "surface by wind and structure without a loop"),
+        "left_psd": (
+            hertz, np.array([one.shaken_density for one in loops]),
+            surface, "surface that is left of wind and structure",
+        ),
+        "noise_psd": (
+            hertz, np.array([one.noise_density for one in loops]), surface, "surface by sensor noise"
+        ),
+    }  # fmt: skip
+    return {
+        name: (dims, values, {"units": units, "long_name": words})
+        for name, (dims, values, units, words) in found.items()
     }
 
 

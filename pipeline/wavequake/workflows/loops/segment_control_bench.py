@@ -14,6 +14,7 @@ from wavequake.control.sampled.flexible import FlexibleLoop, Reduced, Structure,
 from wavequake.control.sampled.flexible_left import (
     Covariance,
     covariance,
+    curve_of,
     frequency_grid,
     left_of,
     noise_left,
@@ -22,6 +23,7 @@ from wavequake.control.sampled.flexible_left import (
     turns,
 )
 from wavequake.control.sampled.margins import first_unstable
+from wavequake.control.sampled.stability import LoopCurve
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.sources.segment_wind import SegmentWind, gusts_of, piston_spectrum
@@ -29,7 +31,7 @@ from wavequake.mechanics.disturbances.spectra import Spectrum, band_variance, re
 from wavequake.mechanics.segment_control import EdgeSensing, SeenModes, seen_modes
 from wavequake.optics.segments.catalog import telescope
 from wavequake.prepared import one_thread, prepared
-from wavequake.workflows.loops.segment_control_study import SegmentControlStudy
+from wavequake.workflows.loops.segment_control_study import SeenMode, SegmentControlStudy
 from wavequake.workflows.segments.bench import layout_of
 
 # Points of the curves and their first frequency, Hz; factors of the gain that are tried for a limit.
@@ -53,7 +55,11 @@ class Left:
     by_mode : ndarray, shape (K,)
         Largest sensitivity along each mode of the structure.
     wind, structure, noise : float
-    sensitivity : ndarray, shape (f,)
+    sensitivity, complementary : ndarray, shape (f,)
+        Largest singular values.
+    curve : LoopCurve
+    shaken_density, noise_density : ndarray, shape (f,)
+        Spectra of the surface: what is left of wind and structure, and what noise does, nm^2/Hz.
     """
 
     found: Reduced
@@ -66,6 +72,10 @@ class Left:
     structure: float
     noise: float
     sensitivity: Array
+    complementary: Array
+    curve: LoopCurve
+    shaken_density: Array
+    noise_density: Array
 
     @property
     def total(self) -> float:
@@ -75,7 +85,10 @@ class Left:
 
 @dataclass(frozen=True)
 class Bench:
-    """A mirror with its loops, in the order of bandwidths, and where they become unstable."""
+    """A mirror with its loops, in the order of bandwidths, and where they become unstable.
+
+    `open_density` (f,) is the spectrum of the surface without a loop, nm^2/Hz.
+    """
 
     study: SegmentControlStudy
     layout: SegmentLayout
@@ -88,6 +101,7 @@ class Bench:
     limit_hz: float
     limit_rigid_hz: float
     hertz: Array
+    open_density: Array
     loops: tuple[Left, ...]
 
 
@@ -221,6 +235,8 @@ def _bench(study: SegmentControlStudy) -> Bench:
         limit,
         rigid,
         hertz,
+        sum((np.sum(one.factor**2) * _inside(spectrum, one, hertz) for one in bands), np.zeros(len(hertz)))
+        + sum(_line(mode).density(hertz) for mode in study.mode if mode.rms_nm),
         loops,
     )
 
@@ -246,8 +262,10 @@ def _left(
     growth, growth_hz = float(np.log(abs(last)) / period), float(abs(np.angle(last)) / (2 * np.pi * period))
     if growth >= 0:
         nan = np.nan
-        nothing = np.full(len(study.mode), nan)
-        return Left(found, growth, growth_hz, nan, nan, nothing, nan, nan, nan, np.full(len(hertz), nan))
+        nothing, unknown = np.full(len(study.mode), nan), np.full(len(hertz), nan)
+        none = LoopCurve(unknown + 0j, unknown, unknown, nan, nan)
+        curves = unknown, unknown, none, unknown, unknown
+        return Left(found, growth, growth_hz, nan, nan, nothing, nan, nan, nan, *curves)
     grid = frequency_grid(found)
     sizes, along = sensitivity_of(found, grid)
     knots = turns(found)
@@ -255,14 +273,15 @@ def _left(
     def integral(left: Spectrum, low: float, high: float) -> float:
         return float(band_variance(left, np.array([low, high]))[0])
 
-    wind = 0.0
+    wind, remaining = 0.0, np.zeros(len(hertz))
     for one in bands:
         share, (low, high) = left_of(found, covariance(found, one.factor)), one.edges_hz
+        remaining += _inside(spectrum, one, hertz) * share(hertz)[0]
         density = _times(spectrum, share)
         wind += integral(Spectrum(density, low, high, (*spectrum.breaks_hz, *knots)), low, high)
     lines = [
         (
-            resonance(mode.hz, 2 * mode.zeta * mode.hz, mode.rms_nm),
+            _line(mode),
             covariance(found, found.basis @ shape[:, None]),
         )
         for mode, shape in zip(study.mode, found.loop.structure.shapes.T, strict=True)
@@ -272,6 +291,7 @@ def _left(
     if lines:
         together = _together(lines, left_of(found, *(moved for _, moved in lines)), knots)
         shaken = integral(together, together.low_hz, together.high_hz)
+        remaining += together.density(hertz)
     heard = noise_left(found, covariance(found, np.diag(modes.multipliers)))
     noise = integral(Spectrum(heard, 1e-7 / period, 0.5 / period, knots), 1e-7 / period, 0.5 / period)
     return Left(
@@ -285,7 +305,20 @@ def _left(
         float(np.sqrt(shaken)),
         float(np.sqrt(noise)) * study.mirror.sensor_nm,
         sensitivity_of(found, hertz)[0],
+        *curve_of(found, hertz),
+        remaining,
+        study.mirror.sensor_nm**2 * heard(hertz),
     )
+
+
+def _line(mode: SeenMode) -> Spectrum:
+    return resonance(mode.hz, 2 * mode.zeta * mode.hz, mode.rms_nm)
+
+
+def _inside(spectrum: Spectrum, gust: _Gust, hertz: Array) -> Array:
+    """Return the density within a gust's band, 0 beyond."""
+    low, high = gust.edges_hz
+    return np.where((hertz >= low) & (hertz < high), spectrum.density(hertz), 0.0)
 
 
 def _together(

@@ -212,12 +212,11 @@ def axes(bench: Bench) -> dict[str, Axis]:
 
 def fixed(bench: Bench) -> dict[str, Fixed]:
     """Return the system at rest, and linear loops over frequency, each alone."""
-    names = [one.name for one in bench.study.controller]
     words = {"units": "nm", "long_name": "wavelength that the loops see, at the first field point"}
     return {
         **system_disturbance.fixed_of(bench.optics.bench),
         "loop_wavelength_nm": ((), np.array(bench.optics.light.wavelength_nm), words),
-        **curves(names, bench.linear, bench.study.sensor),
+        **curves(bench.study, bench.optics, bench.linear, "um", 1e3 * bench.optics.mm),
     }
 
 

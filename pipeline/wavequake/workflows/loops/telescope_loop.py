@@ -278,8 +278,7 @@ def fixed(bench: Bench) -> dict[str, Any]:
     """Return the telescope at rest, and linear loops over frequency, each alone."""
     words = {"units": "nm", "long_name": "wavefront error rms of the fitted Zernikes j >= 4 at rest"}
     found: dict[str, Any] = {"static_wfe_rms": ((), np.sqrt(np.sum(bench.optics.still**2)), words)}
-    study = bench.study
-    return found | curves([one.name for one in study.controller], bench.linear, study.sensor)
+    return found | curves(bench.study, bench.optics, bench.linear)
 
 
 def notices(study: TelescopeLoopStudy) -> Iterator[str]:
