@@ -66,7 +66,7 @@ def test_the_report_of_every_other_instant_says_so(kept_stores, name):
 def test_a_csv_file_of_a_summary_has_a_column_per_statistic(kept_stores, tmp_path, name):
     _, store_of = kept_stores
     short = open_store(store_of(name, reduce="summary")).load()
-    target = export_store(store_of(name, reduce="summary"), tmp_path / "cases.csv")
+    (target,) = export_store(store_of(name, reduce="summary"), tmp_path / "cases.csv")
     with target.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     key = next(name for name in short.data_vars if "statistic" in short[name].dims)

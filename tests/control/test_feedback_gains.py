@@ -89,7 +89,10 @@ def test_poles_are_placed():
         (lambda: kalman_bucy_gain(CHAIN, -1.0, 1.0), "Q must be finite and without negative"),
         (lambda: placed_observer(CHAIN, [-1.0]), "1 poles are given"),
         (lambda: placed_observer(CHAIN, [-1.0] * 4), "cannot be placed"),
-        (lambda: kalman_gain(2 * np.eye(2), np.array([[1.0, 0]]), 1.0, 1.0), "does not see a mode"),
+        (
+            lambda: kalman_gain(2 * np.eye(2), np.array([[1.0, 0]]), 1.0, 1.0),
+            "does not see the mode of 0 turns",
+        ),
     ],
 )
 def test_designs_that_cannot_be_are_refused(call, words):

@@ -210,6 +210,7 @@ def test_bad_fields_and_objects_are_refused():
         pupil_rays(system, np.zeros(2), 587e-6, X, Y[:3])
     with pytest.raises(UserError, match="N-SSK2"):
         pupil_rays(system, np.zeros(2), 50e-3, X, Y)
-    virtual = OpticalSystem("x", system.surfaces, 5, Pupil("stop", 3.0), object_distance=-10.0)
-    with pytest.raises(UserError, match="must be positive"):
-        pupil_rays(virtual, np.zeros(2), 587e-6, X, Y)
+    for nowhere in (0.0, np.nan):
+        at = OpticalSystem("x", system.surfaces, 5, Pupil("stop", 3.0), object_distance=nowhere)
+        with pytest.raises(UserError, match="object"):
+            pupil_rays(at, np.zeros(2), 587e-6, X, Y)

@@ -12,7 +12,7 @@ from wavequake.campaign.store.retention import STATISTICS, kept_result
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import list_devices
 from wavequake.workflows import kinds
-from wavequake.workflows import run as campaign
+from wavequake.workflows.planning import plan as planning
 from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments import modal as segment_modal
 from wavequake.workflows.segments.modal import CERTIFIED, MODAL, TRACED, sampled
@@ -319,15 +319,15 @@ def test_a_plan_does_not_take_the_first_cases_for_the_others(study, monkeypatch)
 
     chosen = study_with(study, {"campaign.cases": 100_000, "store.chunk_cases": 1000})
     monkeypatch.setitem(kinds._registered, "segment-disturbance", replace(workflow.KIND, compute=compute))
-    campaign.plan(chosen)
+    planning.plan(chosen)
     assert len(asked[0]) == 1 < len(asked[-1])
     assert all(cases[-1] == 99_999 for cases in asked)
     del asked[:]
-    campaign.plan(study_with(chosen, {"campaign.cases": 5}))
+    planning.plan(study_with(chosen, {"campaign.cases": 5}))
     assert [cases.tolist() for cases in asked] == [[4], [0, 1, 2, 3, 4]]
     del asked[:]
-    monkeypatch.setattr(campaign, "_LONG_S", 1e-9)  # a case that takes long is the whole pilot
-    assert "(pilot of 1 case, " in campaign.plan(chosen)["one case"]
+    monkeypatch.setattr(planning, "_LONG_S", 1e-9)  # a case that takes long is the whole pilot
+    assert "(pilot of 1 case, " in planning.plan(chosen)["one case"]
     assert [len(cases) for cases in asked] == [1]
 
 

@@ -248,7 +248,7 @@ def _overview(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Picture]:
 
 def _over_frequency(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Section]:
     """Return the section of what is known over frequency; unstable loops have no sensitivity."""
-    if not any(one.stable for one in loops):
+    if not any(one.stable for one in loops) or "loop_gain" not in dataset:  # 0.3 kept sensitivities alone
         return []
     curves = _curves(dataset, loops)
     shown = [
