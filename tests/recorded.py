@@ -152,7 +152,7 @@ def compare(name, *, record, workers=False):
     if record and changed:
         path.parent.mkdir(exist_ok=True)
         np.savez_compressed(path, **{key: now[key] if key in changed else kept[key] for key in now})
-    return digest(numbers), "; ".join(f"{key} {words}" for key, words in changed.items())
+    return digest(numbers), "; ".join(f"{key} {words}" for key, words in sorted(changed.items()))
 
 
 def made_with():
