@@ -204,11 +204,11 @@ def test_what_workers_print_is_in_the_log_alone(tmp_path):
 
 def test_words_of_a_killed_process_are_kept(tmp_path):
     """A worker that ends slowly is killed, and so is its buffer of what Python printed."""
-    said = tmp_path / "said"
-    said.touch()
     words = "from wavequake.cluster.output import redirect; redirect(); print('alive'); "
     words += "import os; os.kill(os.getpid(), 9)"
-    subprocess.run([sys.executable, "-c", words], env={**os.environ, "WAVEQUAKE_WORKER_OUTPUT": str(said)})
+    environment = {**os.environ, "WAVEQUAKE_WORKER_OUTPUT": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", words], env=environment)
+    (said,) = tmp_path.iterdir()
     assert said.read_text() == "alive\n"
 
 

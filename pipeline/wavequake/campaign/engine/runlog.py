@@ -2,6 +2,7 @@
 
 import logging
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -78,22 +79,27 @@ def run_log(folder: Path) -> Iterator[logging.Logger]:
 
 
 @contextmanager
-def _workers_heard(file: Path, logger: logging.Logger) -> Iterator[None]:
-    """Log in the end what worker processes have printed, which they do into a file of their own."""
-    try:
-        said = file.open("w+b")
-    except OSError:  # nor is there a log
-        said = open(os.devnull, "w+b")  # noqa: SIM115 (it is closed below)
+def _workers_heard(folder: Path, logger: logging.Logger) -> Iterator[None]:
+    """Log in the end what worker processes have printed, each into a file of its own in this folder."""
+    with suppress(OSError):  # nor is there a log
+        folder.mkdir()
     before = os.environ.get(OUTPUT, os.devnull)
-    os.environ[OUTPUT] = str(file)
+    os.environ[OUTPUT] = str(folder)
     try:
         yield
     finally:
         os.environ[OUTPUT] = before
-        with suppress(OSError), said:
-            for number, line in enumerate(line for line in said if line.strip()):
+        with suppress(OSError):
+            for number, line in enumerate(_lines_within(folder)):
                 if number == _MOST_LINES:
                     logger.warning("workers said more, which is lost")
                     break
                 logger.warning("a worker said: %s", line.decode(errors="replace").rstrip())
-            file.unlink(missing_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _lines_within(folder: Path) -> Iterator[bytes]:
+    """Return what is in the files, one after the other, as they were written last."""
+    for file in sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime_ns):
+        with file.open("rb") as said:
+            yield from (line for line in said if line.strip())
