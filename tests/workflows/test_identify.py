@@ -154,6 +154,14 @@ def test_columns_that_a_study_does_not_have_are_a_sentence(study, columns, name,
         identified(record, load_study(name or study))
 
 
+def test_a_surface_that_a_body_carries_is_told_by_the_body(tmp_path):
+    path = tmp_path / "bench.toml"
+    path.write_text("\n".join([OPTICS, RIGID, "[[disturbance]]", FORCE]))
+    record = record_of(["M1.dx_um"], STEP, np.random.default_rng(0).standard_normal((600, 1)))
+    with pytest.raises(UserError, match=r"that a body carries; write the body's motion, cell\.dx_um"):
+        identified(record, load_study(path))
+
+
 def write(path, values, columns):
     with path.open("w", newline="") as out:
         rows = csv.writer(out)

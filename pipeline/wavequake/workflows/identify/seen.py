@@ -64,7 +64,7 @@ def seen_by(study: SystemStudy, channels: Sequence[Channel]) -> Seen:
     """
     plain = study.model_copy(update={**WITHOUT_IMAGES, "reduction": None})
     bench = system_bench(plain.identity_text())
-    carried = {bench.system.surfaces[k].name for body in bench.bodies for k in body.surfaces}
+    carried = {bench.system.surfaces[k].name: body.name for body in bench.bodies for k in body.surfaces}
     names = [body.name for body in bench.bodies]
     names += [surface.name for surface in bench.system.surfaces if surface.name not in carried]
     elements = tuple(dict.fromkeys(names))
@@ -90,8 +90,14 @@ def seen_by(study: SystemStudy, channels: Sequence[Channel]) -> Seen:
         elif one.element in elements:
             axis = ("d" if one.axis[0] == "a" else one.axis[0]) + one.axis[1]
             motions[row, elements.index(one.element), DOFS.index(axis)] = 1.0 / one.si
+        elif one.element in carried:
+            raise UserError(
+                f"The column {one.name!r} is of a surface that a body carries; write the body's motion, "
+                f"{carried[one.element]}.{one.name.rsplit('.', 1)[-1]}."
+            )
         elif plant is None or one.element not in plant.places:
             places = [*elements, *(name for name in (plant.places if plant else ()) if "/" not in name)]
+            places = list(dict.fromkeys(places))
             some = ", ".join(places[:12]) + (", ..." if len(places) > 12 else "")
             raise UserError(
                 f"The column {one.name!r} is of {one.element!r}, which is no surface, body or node of the "
