@@ -40,7 +40,7 @@ LIBRARIES = {
     "run again": _STUDY,
     "report": f"{_NUMBERS}, scipy.special, jinja2, matplotlib.figure, matplotlib.backends.backend_svg",
     "status": f"{_WORDS}, pydantic, numpy",
-    "sensitivity": _NUMBERS,
+    "sensitivity": f"{_STUDY}, zarr, pyopencl",
 }
 _DEVICES = "[one.get_devices() for one in pyopencl.get_platforms()]"
 

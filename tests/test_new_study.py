@@ -77,6 +77,21 @@ def test_a_model_says_its_sets_and_the_guess_of_its_units(wavequake):
     assert 'units = "mm,t,s,N"' in Path("mm.toml").read_text()
 
 
+def test_a_model_whose_sets_have_other_names_is_begun_and_says_what_to_set(wavequake):
+    for end in ("sti", "mas", "dof", "inp"):
+        shutil.copy(DATA / f"tetrahedra.{end}", ".")
+    code, out, err = wavequake("new", "tetrahedra.sti")
+    assert (code, err) == (0, "")
+    assert "To be edited before it runs: tetrahedra.inp has no node set" in out
+    assert "(interfaces); it has: ALL, BODY, TOP" in out
+    assert "carry forces: TO BE SET" in Path("tetrahedra.toml").read_text()
+    with pytest.warns(UserWarning, match="two.toml has to be edited before it runs: "):
+        wq.new("tetrahedra.sti", "two.toml")
+    text = Path("tetrahedra.toml").read_text().replace("NAME OF A NODE SET", "BODY")
+    Path("tetrahedra.toml").write_text(text)
+    assert load_study("tetrahedra.toml").model.interfaces == "BODY"
+
+
 def test_a_flat_plate_finds_the_key_that_its_plan_asks_for(wavequake):
     assert wavequake("new", "plate.sti")[0] == 0
     code, *said = wavequake("plan", "plate.toml")

@@ -1,5 +1,7 @@
 """``wavequake sensitivity`` as a user meets it."""
 
+import subprocess
+import sys
 from functools import partial
 
 import pytest
@@ -21,6 +23,19 @@ WORDS = [
 def sensitivity(wavequake, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     return partial(wavequake, "sensitivity")
+
+
+def test_it_loads_no_library_that_it_does_not_need(tmp_path):
+    """They took a third of its time."""
+    heavy = ["dask", "distributed", "jinja2", "matplotlib", "pandas", "xarray"]
+    words = ["sensitivity", *WORDS, "--store", str(tmp_path / "s")]
+    code = (
+        f"import sys; sys.argv[1:] = {words}; from wavequake import cli\ntry: cli.main()\n"
+        f"finally: print([one for one in {heavy} if one in sys.modules], file=sys.stderr)"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "Written" in told.stdout
+    assert told.stderr.strip() == "[]"
 
 
 def test_it_prints_and_keeps_the_matrices(sensitivity, tmp_path):

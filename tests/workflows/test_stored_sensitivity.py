@@ -42,6 +42,11 @@ instants = 2
 """
 
 
+def stored_dataset(*words, **terms):
+    found, kept = stored_sensitivity(*words, **terms)
+    return found.dataset(), kept
+
+
 @pytest.fixture
 def study(tmp_path_factory):
     path = tmp_path_factory.mktemp("study") / "small.toml"
@@ -61,7 +66,7 @@ def test_figures_of_mirrors_are_stored_with_their_units(study, tmp_path):
     assert ds.steps_agree
     _, kept = stored_sensitivity(study, tmp_path, mirror_terms=3)
     assert kept
-    without, kept = stored_sensitivity(study, tmp_path, mirror_terms=0)
+    without, kept = stored_dataset(study, tmp_path, mirror_terms=0)
     assert not kept
     assert "mirror" not in without.coords
 
@@ -133,28 +138,28 @@ def test_other_kinds_of_studies_find_what_they_have_stored(tmp_path, workflow):
     path = tmp_path / "small.toml"
     path.write_text(STUDY.replace("segment-disturbance", workflow))
     one = wq.load_study(path)
-    first, kept = stored_sensitivity(one, tmp_path / "store", mirror_terms=0)
-    again, found = stored_sensitivity(one, tmp_path / "store", mirror_terms=0)
+    first, kept = stored_dataset(one, tmp_path / "store", mirror_terms=0)
+    again, found = stored_dataset(one, tmp_path / "store", mirror_terms=0)
     assert (kept, found) == (False, True)
     assert first.attrs["study"] == one.identity_text()
     xr.testing.assert_identical(first, again)
 
 
 def test_what_was_stored_without_m1_as_a_whole_is_computed_again(study, tmp_path, monkeypatch):
-    ds, _ = stored_sensitivity(study, tmp_path)
+    ds, _ = stored_dataset(study, tmp_path)
     assert ds.surface.values.tolist() == ["M1", "M2", "M3", "image"]
     assert ds.attrs["surfaces"] == 4
     write = sensitivities_kept.write_dataset
 
     def earlier(made, target):
-        write(made.isel(surface=slice(1, None)).assign_attrs(surfaces=3), target)
+        write(made.dataset().isel(surface=slice(1, None)).assign_attrs(surfaces=3), target)
 
     monkeypatch.setattr(sensitivities_kept, "write_dataset", earlier)
     stored_sensitivity(study, tmp_path, mirror_terms=0)
-    without, kept = stored_sensitivity(study, tmp_path)
+    without, kept = stored_dataset(study, tmp_path)
     assert (without.sizes["surface"], kept) == (3, False)
     monkeypatch.undo()
-    again, kept = stored_sensitivity(study, tmp_path)
+    again, kept = stored_dataset(study, tmp_path)
     assert (again.sizes["surface"], kept) == (4, False)
 
 
@@ -167,7 +172,7 @@ def test_a_meter_of_piston_figure_is_a_meter_along_the_normal(study, tmp_path):
 
 
 def test_it_is_written_with_its_provenance_and_opens_plainly(study, tmp_path):
-    ds, kept = stored_sensitivity(study, tmp_path / "store")
+    ds, kept = stored_dataset(study, tmp_path / "store")
     assert not kept
     plain = xr.open_zarr(tmp_path / "store" / "sensitivity.zarr")
     xr.testing.assert_equal(plain[list(ds.data_vars)].load(), ds)
@@ -178,13 +183,13 @@ def test_it_is_written_with_its_provenance_and_opens_plainly(study, tmp_path):
 
 
 def test_what_is_there_is_not_computed_again(study, tmp_path, monkeypatch):
-    first, _ = stored_sensitivity(study, tmp_path)
-    more, kept = stored_sensitivity(study, tmp_path, figure_terms=1)
+    first, _ = stored_dataset(study, tmp_path)
+    more, kept = stored_dataset(study, tmp_path, figure_terms=1)
     assert not kept
     assert more.sizes["term"] == 1
     stored_sensitivity(study, tmp_path, figure_terms=0)
     monkeypatch.setattr(module, "sensitivities", None)
-    again, kept = stored_sensitivity(study, tmp_path)
+    again, kept = stored_dataset(study, tmp_path)
     assert kept
     xr.testing.assert_identical(again.drop_attrs(), first.drop_attrs())
 
@@ -223,7 +228,7 @@ def test_two_processes_may_write_the_same(study, tmp_path, monkeypatch):
         shutil.copytree(folder, folder.with_name("sensitivity.zarr"))
 
     monkeypatch.setattr(arrays, "consolidate", another_is_faster)
-    ds, _ = stored_sensitivity(study, tmp_path / "store")
+    ds, _ = stored_dataset(study, tmp_path / "store")
     assert ds.sizes["segment"] == 18
     assert [path.name for path in (tmp_path / "store").iterdir()] == ["sensitivity.zarr"]
 

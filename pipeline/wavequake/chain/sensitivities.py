@@ -2,24 +2,21 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from wavequake.campaign.provenance import collect
 from wavequake.campaign.schema import Study
 from wavequake.campaign.store.store import MANIFEST, SENSITIVITY, read_manifest, refuse_foreign, refuse_other
-from wavequake.campaign.store.whole import Labelled, read_dataset, write_dataset
+from wavequake.campaign.store.whole import Arrays, Labelled, read_arrays, write_dataset
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device
 from wavequake.optics.checks import whole
 from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
 from wavequake.optics.polynomials.zernike import MOST_TERMS
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 SCHEMA = 1
 MIRROR_TERMS = 11  # of figures by default: up to primary spherical aberration
@@ -59,7 +56,7 @@ def sensitivity_dataset(
     device: Device,
     vignetted: str,
     note: str,
-) -> "xr.Dataset":
+) -> Arrays:
     """Label sensitivities and convert them from the optics' mm and waves to m and nm.
 
     Parameters
@@ -78,31 +75,33 @@ def sensitivity_dataset(
 
     Returns
     -------
-    xarray.Dataset
+    Arrays
         ``sensitivity_zernike_X`` ([field], element, column, noll) in nm per m or rad, ``sensitivity_los_X``
         and ``sensitivity_centroid_X`` (..., axis) in mm per m or rad, ``sensitivity_wfe_rms_raw_X`` in nm
         per m or rad, ``step_error_X``, and ``step_X`` (column,). A column of dx, dy, dz or of a figure is per
         m, one of rx, ry, rz per rad.
     """
-    import xarray as xr
-
     first = next(iter(elements.values())).matrices[0]
     over = ("field",) if len(fields) else ()
     terms = np.arange(1, first.zernike.shape[2] + 1)
     variables: dict[str, Labelled] = {}
     coordinates: dict[str, Labelled] = {
-        **({"field": (("field",), _text(fields), {"long_name": "field point"})} if len(fields) else {}),
-        "dof": (("dof",), _text(DOFS), {"long_name": "motion"}),
-        "noll": (("noll",), terms, {"long_name": "Noll index"}),
-        "axis": (("axis",), _text(("x", "y")), {"long_name": "axis of the image plane"}),
+        **(
+            {"field": Labelled(("field",), _text(fields), {"long_name": "field point"})}
+            if len(fields)
+            else {}
+        ),
+        "dof": Labelled(("dof",), _text(DOFS), {"long_name": "motion"}),
+        "noll": Labelled(("noll",), terms, {"long_name": "Noll index"}),
+        "axis": Labelled(("axis",), _text(("x", "y")), {"long_name": "axis of the image plane"}),
     }
     worst = {}
     for name, one in elements.items():
         variables |= _variables(name, over, one, wavelength_nm, obscuration)
-        coordinates[one.dim] = (one.dim,), _text(one.matrices[0].elements), {"long_name": one.label}
+        coordinates[one.dim] = Labelled((one.dim,), _text(one.matrices[0].elements), {"long_name": one.label})
         if one.column != "dof":
             numbers = np.arange(1, len(one.matrices[0].dofs) + 1)
-            coordinates[one.column] = (one.column,), numbers, {"long_name": one.column_label}
+            coordinates[one.column] = Labelled((one.column,), numbers, {"long_name": one.column_label})
         element, dof, error = max((each.worst for each in one.matrices), key=lambda item: item[2])
         worst[f"worst_step_error_{name}"] = f"{error:.1e} ({element} {dof})"
     attrs = {
@@ -119,7 +118,7 @@ def sensitivity_dataset(
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
-    return xr.Dataset(variables, coordinates, attrs)
+    return Arrays(variables | coordinates, attrs)
 
 
 def _variables(
@@ -136,14 +135,14 @@ def _variables(
 
     def derived(key: str, factor: float, length: str, what: str, *more: str) -> Labelled:
         values = joined(key) * scale.reshape(-1, *(1 for _ in more)) * factor
-        return (
+        return Labelled(
             (*dims, *more),
             values,
             {"units": f"{length} per {unit}", "long_name": f"{what}, per {one.frame}"},
         )
 
     zernike = derived("zernike", wavelength_nm, "nm", "annular Noll Zernike coefficients", "noll")
-    zernike[2]["obscuration"] = repr(obscuration)
+    marked = {**zernike.attrs, "obscuration": repr(obscuration)}
     sight = f"line of sight in the image: {LINE_OF_SIGHT}"
     centroid = "geometric centroid of the rays in the image"
     raw = "rms over the rays that arrive of the wavefront's change, piston removed"
@@ -153,12 +152,12 @@ def _variables(
     )
     width = {"units": unit, "long_name": "half width of the central differences"}
     return {
-        f"sensitivity_zernike_{name}": zernike,
+        f"sensitivity_zernike_{name}": zernike._replace(attrs=marked),
         f"sensitivity_los_{name}": derived("los", 1.0, "mm", sight, "axis"),
         f"sensitivity_centroid_{name}": derived("centroid", 1.0, "mm", centroid, "axis"),
         f"sensitivity_wfe_rms_raw_{name}": derived("rms_raw", wavelength_nm, "nm", raw),
-        f"step_error_{name}": (dims, joined("disagreement"), {"units": "1", "long_name": error}),
-        f"step_{name}": ((one.column,), one.matrices[0].steps / scale, width),
+        f"step_error_{name}": Labelled(dims, joined("disagreement"), {"units": "1", "long_name": error}),
+        f"step_{name}": Labelled((one.column,), one.matrices[0].steps / scale, width),
     }
 
 
@@ -182,8 +181,8 @@ def require_own_store(study: Study, path: Path) -> None:
 
 
 def kept_or_made(
-    study: Study, path: Path, terms: Mapping[str, int], make: Callable[[], "xr.Dataset"]
-) -> tuple["xr.Dataset", bool]:
+    study: Study, path: Path, terms: Mapping[str, int], make: Callable[[], Arrays]
+) -> tuple[Arrays, bool]:
     """Return the sensitivities that a store keeps if they have these `terms`, or those that are made now.
 
     Raises
@@ -205,12 +204,12 @@ def kept_or_made(
         if all(kept.attrs.get(key) == value for key, value in terms.items()):
             return kept, True
     made = make()
-    made.attrs |= {"study": text, "study_sha256": study.identity(), **terms}
-    write_dataset(made, target)
+    attrs = {**made.attrs, "study": text, "study_sha256": study.identity(), **terms}
+    write_dataset(replace(made, attrs=attrs), target)
     return open_sensitivity(path), False
 
 
-def open_sensitivity(path: Path | str) -> "xr.Dataset":
+def open_sensitivity(path: Path | str) -> Arrays:
     """Read the sensitivities that a store keeps.
 
     Raises
@@ -223,4 +222,4 @@ def open_sensitivity(path: Path | str) -> "xr.Dataset":
     target = Path(path) / SENSITIVITY
     if not target.exists():
         raise UserError(f"There are no sensitivities at {target}; wavequake sensitivity STUDY computes them.")
-    return read_dataset(target, SCHEMA)
+    return read_arrays(target, SCHEMA)

@@ -24,8 +24,10 @@ def new(
     """Write a commented study file of what a name, lens file or finite-element model holds."""
     from wavequake.workflows.new_study import new_study
 
-    path = new_study(source, file)
+    path, to_edit = new_study(source, file)
     out.print(f"Written: {path}", markup=False, soft_wrap=True)
+    if to_edit:
+        out.print(f"To be edited before it runs: {to_edit}", markup=False, soft_wrap=True)
     out.print(f"Next: wavequake draw {path.name}, wavequake plan {path.name}", markup=False, soft_wrap=True)
 
 

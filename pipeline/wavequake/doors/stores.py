@@ -1,5 +1,6 @@
 """What looks after stores, and begins studies: the command of the same name prints what these return."""
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,13 +32,21 @@ def new(source: str | Path, file: str | Path | None = None) -> Path:
     UserError
         If there is no such thing, it cannot be read, or the file exists.
 
+    Warns
+    -----
+    UserWarning
+        If something has to be set in the file before it runs, such as a node set of the model.
+
     Examples
     --------
     >>> new("double-gauss", "my-lens.toml")  # doctest: +SKIP
     """
     from wavequake.workflows.new_study import new_study
 
-    return new_study(str(source), None if file is None else Path(file))
+    path, to_edit = new_study(str(source), None if file is None else Path(file))
+    if to_edit:
+        warnings.warn(f"{path.name} has to be edited before it runs: {to_edit}", stacklevel=2)
+    return path
 
 
 def info(what: "str | Path | OpticalSystem", glass: str | Path | None = None, **overrides: Any) -> str:

@@ -2,14 +2,16 @@
 
 import textwrap
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.report.populations import Summary
-from wavequake.report.statistics import Jitter, Quantile
+if TYPE_CHECKING:
+    from wavequake.report.populations import Summary
+    from wavequake.report.statistics import Jitter, Quantile
 
 MISSING = "–"
 
@@ -56,7 +58,7 @@ def difference(mean: float, margin: float, first: float, largest: float) -> tupl
     return both, MISSING if np.isnan(share) else percent
 
 
-def interval(quantile: Quantile, digits: int = 3) -> str:
+def interval(quantile: "Quantile", digits: int = 3) -> str:
     """Format a confidence interval; a bound that does not exist is left out."""
     low, high = np.isfinite(quantile.low), np.isfinite(quantile.high)
     if low and high:
@@ -72,7 +74,7 @@ def radius(value: float, frame: float, digits: int = 3) -> str:
     return beyond if np.isposinf(value) else number(value, digits)
 
 
-def rows(summaries: Iterable[Summary]) -> list[dict[str, tuple[str, str]]]:
+def rows(summaries: "Iterable[Summary]") -> list[dict[str, tuple[str, str]]]:
     """Return one dict per disturbance: header with unit -> (value, its uncertainty or remark), all text."""
     return [_row(summary) for summary in summaries]
 
@@ -84,7 +86,7 @@ def rows_of(table: Table) -> list[dict[str, tuple[str, str]]]:
     return [{header: (one, "") for header, one in zip(headers, row, strict=True)} for row in cells]
 
 
-def _row(summary: Summary) -> dict[str, tuple[str, str]]:
+def _row(summary: "Summary") -> dict[str, tuple[str, str]]:
     return {
         "disturbance": (summary.name, ""),
         "cases": (str(summary.cases), _left_out(summary)),
@@ -110,17 +112,17 @@ def _model(value: float | None) -> str:
     return MISSING if value is None else number(value)
 
 
-def _left_out(summary: Summary, before: str = "") -> str:
+def _left_out(summary: "Summary", before: str = "") -> str:
     counts = {"quarantined": summary.quarantined, "to do": summary.todo, "incomplete": summary.incomplete}
     words = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     return before + words if words else ""
 
 
-def _quantile(quantile: Quantile, digits: int = 3) -> tuple[str, str]:
+def _quantile(quantile: "Quantile", digits: int = 3) -> tuple[str, str]:
     return number(quantile.value, digits), "" if np.isnan(quantile.value) else interval(quantile, digits)
 
 
-def _radius(summary: Summary) -> tuple[str, str]:
+def _radius(summary: "Summary") -> tuple[str, str]:
     found = summary.ee80_p50
     value, remark = _quantile(found, 4)
     if not np.isposinf(found.value):
@@ -128,13 +130,13 @@ def _radius(summary: Summary) -> tuple[str, str]:
     return radius(found.value, summary.frame), remark if np.isfinite(found.low) else ""
 
 
-def _jitter(jitter: Jitter) -> tuple[str, str]:
+def _jitter(jitter: "Jitter") -> tuple[str, str]:
     return number(jitter.radial), f"± {number(jitter.standard_error, 2)}" if np.isfinite(
         jitter.standard_error
     ) else ""
 
 
-def terminal_table(summaries: Iterable[Summary]) -> Table:
+def terminal_table(summaries: "Iterable[Summary]") -> Table:
     """Return the table for a terminal: a few lines per disturbance, which fit 80 columns."""
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_CAPTION, caption_justify="left")
     table.add_column("disturbance\ncases", overflow="fold")
@@ -170,6 +172,6 @@ def terminal_table(summaries: Iterable[Summary]) -> Table:
     return table
 
 
-def _with_interval(quantile: Quantile) -> str:
+def _with_interval(quantile: "Quantile") -> str:
     value, remark = _quantile(quantile)
     return value if remark in ("", MISSING) else f"{value} ({remark})"

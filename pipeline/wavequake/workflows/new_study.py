@@ -23,10 +23,11 @@ _MODELS = (*READERS, ".mtx")
 _MOUNTS, _SURFACE = r"INTERF|MOUNT|SUPPORT|BASE|FIX", r"SURF|OPTIC|FRONT|MIRROR|TOP"
 _LARGEST_IN_METERS = 100.0  # a mesh that is larger is taken to be in mm
 _OPTICAL = 1.01
+_UNKNOWN = "NAME OF A NODE SET"
 
 
-def new_study(source: str, target: Path | None = None) -> Path:
-    """Write a study file that can be run or edited, and return its absolute path.
+def new_study(source: str, target: Path | None = None) -> tuple[Path, str]:
+    """Write a study file; return its absolute path, and what has to be edited before it runs ("": nothing).
 
     Parameters
     ----------
@@ -51,8 +52,8 @@ def new_study(source: str, target: Path | None = None) -> Path:
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror or error}.") from None
     except UserError as error:
-        raise UserError(f"{path} is written, and has to be edited: {error}") from None
-    return path
+        return path, str(error)
+    return path, ""
 
 
 def _name(source: str) -> str:
@@ -236,8 +237,8 @@ title = {_quoted(f"Which reduced model of {file.stem} is good enough?")}
 [model]
 file = {_quoted(said)}
 units = {_quoted(units)}  # A GUESS by the size of the mesh: check it, as all results depend on it.
-interfaces = {_quoted(chosen["interfaces"])}  # the nodes that carry forces
-surface = {_quoted(chosen["surface"])}  # the nodes of the optical surface
+interfaces = {_quoted(chosen["interfaces"])}  # the nodes that carry forces{_marked(chosen["interfaces"])}
+surface = {_quoted(chosen["surface"])}  # the nodes of the optical surface{_marked(chosen["surface"])}
 
 # A flat optical surface has no focus. If yours is, uncomment both lines: which parabola it stands for.
 # [optics]
@@ -258,4 +259,8 @@ frequency_hz = 100.0
 def _guess(sets: dict[str, int], words: str) -> str:
     """Return the smallest set whose name has one of the words, or else a name to be replaced."""
     fitting = [name for name in sets if re.search(words, name, flags=re.IGNORECASE)]
-    return min(fitting, key=lambda name: sets[name]) if fitting else "NAME OF A NODE SET"
+    return min(fitting, key=lambda name: sets[name]) if fitting else _UNKNOWN
+
+
+def _marked(chosen: str) -> str:
+    return ": TO BE SET, no node set is named like one" if chosen == _UNKNOWN else ""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import Study
+from wavequake.campaign.store.whole import Arrays
 from wavequake.chain.sensitivities import (
     MIRROR_TERMS,
     Elements,
@@ -71,12 +72,12 @@ def sensitivity(
     keys = {key.replace("__", "."): value for key, value in overrides.items()}
     loaded = study_with(study, keys) if isinstance(study, Study) else sensitivity_study(study, keys)
     path = loaded.folder(store)
-    return stored_sensitivity(loaded, path, figure_terms, mirror_terms)[0]
+    return stored_sensitivity(loaded, path, figure_terms, mirror_terms)[0].dataset()
 
 
 def stored_sensitivity(
     study: Study, path: Path, figure_terms: int | None = None, mirror_terms: int | None = None
-) -> tuple["xr.Dataset", bool]:
+) -> tuple[Arrays, bool]:
     """Return the sensitivities that the store at `path` keeps, and whether they were there already.
 
     What is not there is computed and written: first beside, then renamed, so that there is never half of it.
@@ -143,7 +144,7 @@ def _of_bench(bench: Bench, device: Device, figure_terms: int, mirror_terms: int
         return sensitivities(prepared, device, field=bench.field)
 
 
-def _dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
+def _dataset(bench: Bench, found: Sensitivities, device: Device) -> Arrays:
     """Label the matrices of M1's segments, of M1 as a whole and of what comes after it."""
     elements = {
         "surface": Elements(

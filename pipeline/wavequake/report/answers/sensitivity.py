@@ -1,19 +1,16 @@
 """Sensitivities for the terminal: a table of the surfaces, one of the segments, and what the numbers mean."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from wavequake.campaign.store.whole import Arrays
 from wavequake.optics.derivatives.central import DOFS
 from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.report.table import MISSING, number
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -40,7 +37,7 @@ def zernike_name(j: int) -> str:
     return f"{ordinal}{family}{axis}"
 
 
-def tables(found: "xr.Dataset") -> Iterator[Table]:
+def tables(found: Arrays) -> Iterator[Table]:
     """Yield the tables of surfaces, segments and figures of mirrors that a dataset holds."""
     yield surface_table(found)
     yield segment_table(found)
@@ -48,7 +45,7 @@ def tables(found: "xr.Dataset") -> Iterator[Table]:
         yield mirror_table(found)
 
 
-def surface_table(found: "xr.Dataset") -> Table:
+def surface_table(found: Arrays) -> Table:
     """Return the table of M1 as a whole and the surfaces after it: line of sight, largest Zernike terms."""
     table = Table(
         box=SIMPLE_HEAD,
@@ -60,10 +57,10 @@ def surface_table(found: "xr.Dataset") -> Table:
     for axis in "xy":
         table.add_column(f"LOS {axis}\nmm per mm or rad", justify="right", no_wrap=True)
     table.add_column("largest Zernike terms from j = 4 on\nnm per µm or µrad")
-    los = found.sensitivity_los_surface.values * _PER_MILLIMETER[:, None]
-    zernike = found.sensitivity_zernike_surface.values[..., 3:] * 1e-6
+    los = found["sensitivity_los_surface"].values * _PER_MILLIMETER[:, None]
+    zernike = found["sensitivity_zernike_surface"].values[..., 3:] * 1e-6
     los, zernike = _rigid_zeroed(los, _NO_LOS), _rigid_zeroed(zernike, _NO_WFE)
-    for index, name in enumerate(found.surface.values):
+    for index, name in enumerate(found["surface"].values):
         for dof, motion in enumerate(DOFS):
             label = f"[bold]{name}[/]  {motion}" if dof == 0 else f"{' ' * len(str(name))}  {motion}"
             words = ", ".join(_term(j, value) for j, value in _largest(zernike[index, dof]))
@@ -94,9 +91,9 @@ def _term(j: int, value: float) -> str:
     return f"{zernike_name(j)} (c{j}) {number(value)}"
 
 
-def segment_table(found: "xr.Dataset") -> Table:
+def segment_table(found: Arrays) -> Table:
     """Return the table of M1's segments, one row per motion; zeros are below 1e-6 of the largest."""
-    count = found.sizes["segment"]
+    count = len(found["segment"].values)
     what = "one piece" if count == 1 else f"{count} segments (min / median / max)"
     table = Table(
         box=SIMPLE_HEAD,
@@ -108,23 +105,23 @@ def segment_table(found: "xr.Dataset") -> Table:
     table.add_column("LOS\nmm per mm or rad", justify="right", no_wrap=True)
     table.add_column("WFE rms, j ≥ 4\nnm per nm or nrad", justify="right", no_wrap=True)
     table.add_column("WFE rms on glass\nnm per nm or nrad", justify="right", no_wrap=True)
-    los = np.hypot(*np.moveaxis(found.sensitivity_los_segment.values * _PER_MILLIMETER[:, None], -1, 0))
-    fitted = np.sqrt(np.sum(found.sensitivity_zernike_segment.values[..., 3:] ** 2, axis=-1)) * 1e-9
-    raw = found.sensitivity_wfe_rms_raw_segment.values * 1e-9
+    los = np.hypot(*np.moveaxis(found["sensitivity_los_segment"].values * _PER_MILLIMETER[:, None], -1, 0))
+    fitted = np.sqrt(np.sum(found["sensitivity_zernike_segment"].values[..., 3:] ** 2, axis=-1)) * 1e-9
+    raw = found["sensitivity_wfe_rms_raw_segment"].values * 1e-9
     columns = [_rigid_zeroed(los, _NO_LOS), *(_rigid_zeroed(rms, 1e-3 * _NO_WFE) for rms in (fitted, raw))]
     for dof, motion in enumerate(DOFS):
         table.add_row(motion, *(_spread(values[:, dof]) for values in columns))
     if "sensitivity_los_figure" in found:
-        los = np.hypot(*np.moveaxis(found.sensitivity_los_figure.values, -1, 0)) * 1e-3
-        fitted = np.sqrt(np.sum(found.sensitivity_zernike_figure.values[..., 3:] ** 2, axis=-1)) * 1e-9
-        raw = found.sensitivity_wfe_rms_raw_figure.values * 1e-9
+        los = np.hypot(*np.moveaxis(found["sensitivity_los_figure"].values, -1, 0)) * 1e-3
+        fitted = np.sqrt(np.sum(found["sensitivity_zernike_figure"].values[..., 3:] ** 2, axis=-1)) * 1e-9
+        raw = found["sensitivity_wfe_rms_raw_figure"].values * 1e-9
         columns = [_zeroed(values) for values in (los, fitted, raw)]
-        for index, j in enumerate(found.term.values):
+        for index, j in enumerate(found["term"].values):
             table.add_row(f"figure Z{j}", *(_spread(values[:, index]) for values in columns))
     return table
 
 
-def mirror_table(found: "xr.Dataset") -> Table:
+def mirror_table(found: Arrays) -> Table:
     """Return the table of the figures of the mirrors after M1, one row per term."""
     table = Table(
         box=SIMPLE_HEAD,
@@ -136,14 +133,14 @@ def mirror_table(found: "xr.Dataset") -> Table:
     for axis in "xy":
         table.add_column(f"LOS {axis}\nmm per mm", justify="right", no_wrap=True)
     table.add_column("largest Zernike terms from j = 4 on\nnm per nm")
-    los = _zeroed(found.sensitivity_los_mirror.values * 1e-3)
-    zernike = _zeroed(found.sensitivity_zernike_mirror.values[..., 3:] * 1e-9)
-    for index, name in enumerate(found.mirror.values):
-        for row, j in enumerate(found.mirror_term.values):
+    los = _zeroed(found["sensitivity_los_mirror"].values * 1e-3)
+    zernike = _zeroed(found["sensitivity_zernike_mirror"].values[..., 3:] * 1e-9)
+    for index, name in enumerate(found["mirror"].values):
+        for row, j in enumerate(found["mirror_term"].values):
             label = f"[bold]{name}[/]  Z{j}" if row == 0 else f"{' ' * len(str(name))}  Z{j}"
             words = ", ".join(_term(k, value) for k, value in _largest(zernike[index, row]))
             cells = [number(value, 5) for value in los[index, row]]
-            last = row == len(found.mirror_term) - 1
+            last = row == len(found["mirror_term"].values) - 1
             table.add_row(label, *cells, words or MISSING, end_section=last)
     return table
 
@@ -183,24 +180,24 @@ def conclusion(names: Sequence[str], los: Array, rms: Array) -> str:
     return " ".join(words)
 
 
-def answer(found: "xr.Dataset") -> str:
+def answer(found: Arrays) -> str:
     """Say which surface matters most."""
-    los = np.linalg.norm(found.sensitivity_los_surface.values * _PER_MILLIMETER[:, None], axis=-1)
-    rms = np.sqrt(np.sum((found.sensitivity_zernike_surface.values[..., 3:] * 1e-6) ** 2, axis=-1))
-    return conclusion([str(one) for one in found.surface.values], los, rms)
+    los = np.linalg.norm(found["sensitivity_los_surface"].values * _PER_MILLIMETER[:, None], axis=-1)
+    rms = np.sqrt(np.sum((found["sensitivity_zernike_surface"].values[..., 3:] * 1e-6) ** 2, axis=-1))
+    return conclusion([str(one) for one in found["surface"].values], los, rms)
 
 
-def explanations(found: "xr.Dataset") -> list[str]:
+def explanations(found: Arrays) -> list[str]:
     """Return what the numbers mean, how they were made and how far two steps agree, in lines."""
     attrs = found.attrs
-    steps = dict(zip(DOFS, found.step_surface.values, strict=True))
+    steps = dict(zip(DOFS, found["step_surface"].values, strict=True))
     kinds = ("surface", "segment", "figure", "mirror")
     errors = "; ".join(
         f"{kind}s {attrs[f'worst_step_error_{kind}']}"
         for kind in kinds
         if f"worst_step_error_{kind}" in attrs
     )
-    figure = f", {found.step_figure.values[0]:g} m of figure" if "step_figure" in found else ""
+    figure = f", {found['step_figure'].values[0]:g} m of figure" if "step_figure" in found else ""
     lines = [
         "M1 among the surfaces: all its segments as one rigid body, about its vertex.",
         f"LOS: {attrs['line_of_sight']}, in the image plane; it is neither the chief ray nor the centroid.",

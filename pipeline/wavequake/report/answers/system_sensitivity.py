@@ -1,18 +1,15 @@
 """The sensitivities of an optical system as tables for the terminal."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from wavequake.campaign.store.whole import Arrays
 from wavequake.report.answers.sensitivity import conclusion, zernike_name
 from wavequake.report.table import MISSING, number
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -24,14 +21,14 @@ _TITLES = {
 }
 
 
-def tables(found: "xr.Dataset") -> Iterator[Table]:
+def tables(found: Arrays) -> Iterator[Table]:
     """Yield the tables of surfaces, bodies and figures that a dataset holds."""
     for name in _TITLES:
         if f"sensitivity_los_{name}" in found:
             yield _table(found, name)
 
 
-def _table(found: "xr.Dataset", name: str) -> Table:
+def _table(found: Arrays, name: str) -> Table:
     zernike = found[f"sensitivity_zernike_{name}"]
     element, column = map(str, zernike.dims[1:3])
     fields, labels = ([str(one) for one in found[key].values] for key in ("field", column))
@@ -82,7 +79,7 @@ def _zeroed(values: Array, turns: NDArray[np.bool_]) -> Array:
     return kept
 
 
-def answer(found: "xr.Dataset") -> str:
+def answer(found: Arrays) -> str:
     """Say which surface, or which body where there are some, matters most at the worst field point."""
     name = "body" if "sensitivity_los_body" in found else "surface"
     scale = np.where([dof < 3 for dof in range(6)], 1e-3, 1.0)[:, None]
@@ -93,7 +90,7 @@ def answer(found: "xr.Dataset") -> str:
     return conclusion([str(one) for one in found[element].values], los, rms)
 
 
-def explanations(found: "xr.Dataset") -> list[str]:
+def explanations(found: Arrays) -> list[str]:
     """Return what the numbers mean, how they were made and how far two steps agree, in lines."""
     attrs = found.attrs
     errors = "; ".join(

@@ -1,10 +1,10 @@
 """The sensitivities of a system-disturbance study as a labelled dataset: every surface, body and field."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.store.whole import Arrays
 from wavequake.chain.sensitivities import (
     MIRROR_TERMS,
     Elements,
@@ -26,9 +26,6 @@ from wavequake.workflows.systems.bench import (
 )
 from wavequake.workflows.systems.study import SystemStudy
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _FRAMES = {
     "surface": "motion of a surface about its vertex in its own frame",
     "body": "motion of a body about its point in the frame of its first surface",
@@ -38,7 +35,7 @@ _FRAMES = {
 
 def stored_system_sensitivity(
     study: SystemStudy, path: Path, figure_terms: int | None = None, terms: int | None = None
-) -> tuple["xr.Dataset", bool]:
+) -> tuple[Arrays, bool]:
     """Return the sensitivities that the store at `path` keeps, and whether they were there already.
 
     Raises
@@ -58,7 +55,7 @@ def stored_system_sensitivity(
     )
 
 
-def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Dataset":
+def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> Arrays:
     """Return the sensitivities at the primary wavelength and all fields, in m and nm.
 
     For ``surface``, ``body`` and, with `terms`, ``deformation``; see
