@@ -21,6 +21,7 @@ from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.phases import Diffraction
 from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.shapes.shapes import (
     Conic,
@@ -36,7 +37,7 @@ from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.zemax.export import write_zmx, zmx_text
 from wavequake.optics.zemax.read import parse_zmx, read_zmx
-from wavequake.optics.zemax.surfaces import spider
+from wavequake.optics.zemax.surfaces import ellipse, spider
 
 COOKE = Path(__file__).parents[1] / "data" / "cooke_triplet.zmx"
 
@@ -219,7 +220,14 @@ def test_rings_too_narrow_for_circular_polynomials_are_refused():
         (simple(deformation=ZernikeDeformation(5, 10.0)), "a deformation"),
         (simple(opening=Opening(outer=5.0, arms=((0.3, 0.1),))), "no spider of equal ones"),
         (simple(opening=Opening(arms=((0.0, 0.1), (np.pi, 0.2)))), "no spider of equal ones"),
-        (simple(opening=Opening(corners=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))), "no centered rectangle"),
+        (simple(opening=Opening(corners=((0.0, 0.0), (2.0, 0.0), (0.5, 0.5), (0.0, 2.0)))), "with a dent"),
+        (
+            simple(
+                shape=GridSag(np.inf, 0.0, np.zeros((5, 5)), 1.0, 1.0),
+                opening=Opening(corners=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))),
+            ),
+            "a GridSag with an opening",
+        ),
         (simple(name="two\nlines"), "one line"),
         (simple(shape=Conic(np.nan)), "finite numbers only"),
         (replace(simple(), fields=np.zeros((13, 2))), "13 fields"),
@@ -317,6 +325,12 @@ def test_own_glasses_of_equal_names_are_refused(other):
         zmx_text(replace(simple(), surfaces=(first, replace(first, medium=other), image)))
 
 
+def polygon(count, turn):
+    """Return the corners of a regular polygon."""
+    angles = turn + 2.0 * np.pi * np.arange(count) / count
+    return tuple(zip((6.0 * np.cos(angles)).tolist(), (6.0 * np.sin(angles)).tolist(), strict=True))
+
+
 RECTANGLE = ((6.0, -5.0), (6.0, 5.0), (-6.0, 5.0), (-6.0, -5.0))
 
 
@@ -329,15 +343,27 @@ RECTANGLE = ((6.0, -5.0), (6.0, 5.0), (-6.0, 5.0), (-6.0, -5.0))
         Opening(corners=RECTANGLE),
         Opening(6.0, 2.0, arms=spider(0.7, 3), center=(1.0, -2.0)),
         Opening(inner=2.0, corners=RECTANGLE, center=(1.0, -2.0)),
+        Opening(corners=((-1.0, -4.0), (6.0, 1.0), (-3.0, 5.0))),
+        Opening(corners=polygon(6, 0.3), center=(0.4, -1.1)),
+        Opening(inner=1.0, corners=polygon(5, 0.1), arms=spider(0.5, 3)),
+        Opening(corners=ellipse(6.0, 3.5), center=(1.0, -0.5)),
     ],
 )
-def test_several_apertures_of_a_surface_stand_on_equal_ones_before_it(opening):
+@pytest.mark.parametrize(
+    "shape",
+    [
+        EvenAsphere(-90.0, -0.5, (1e-4, 1e-6)),
+        ZernikeSag(-90.0, -0.5, (0.0, 0.0, 1e-4, 0.0, 3e-3, -2e-3, 0.0, 0.0, 2e-3, 0.0, 1e-3), 12.0),
+    ],
+    ids=["asphere", "zernike"],
+)
+def test_several_apertures_of_a_surface_stand_on_equal_ones_before_it(opening, shape):
     """A turned mirror behind a lens: the same rays arrive, on the same ways."""
     glass_plate = Surface("plate", position=np.array([0.0, 0.0, -9.0]), action="refract", medium=glass("F2"))
     turn = cardan(np.array([0.2, -0.1, 0.3]))
     mirror = Surface(
         "mirror",
-        EvenAsphere(-90.0, -0.5, (1e-4, 1e-6)),
+        shape,
         np.array([0.3, 0.1, 0.0]),
         turn,
         "reflect",
@@ -359,6 +385,22 @@ def test_several_apertures_of_a_surface_stand_on_equal_ones_before_it(opening):
     np.testing.assert_array_equal(found.status, truth.status)
     for key in ("x", "y", "path"):
         np.testing.assert_allclose(getattr(found, key), getattr(truth, key), rtol=1e-12, atol=1e-10)
+
+
+def test_a_grating_with_several_apertures_diffracts_once():
+    grooves = Diffraction(1.0, 50.0)
+    opening = Opening(corners=polygon(6, 0.3))
+    again = parse_zmx(zmx_text(simple(action="reflect", phase=grooves, opening=opening)), "lens.zmx")
+    *others, mirror, _ = again.surfaces
+    assert len(others) == 3
+    assert [one.phase for one in others] == [None] * 3
+    assert mirror.phase == grooves
+
+
+def test_vignetting_factors_come_back():
+    factors = ((0.0, 0.1, 0.2, 0.3, 0.25), (0.0, 0.0, 0.0, 0.0, 0.0))
+    system = replace(simple(), fields=np.array([[0.0, 0.0], [0.0, 0.1]]), vignetting=factors)
+    np.testing.assert_allclose(parse_zmx(zmx_text(system), "lens.zmx").vignetting, factors, rtol=1e-15)
 
 
 def test_several_apertures_behind_a_gradient_are_refused():

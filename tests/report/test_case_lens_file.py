@@ -108,7 +108,7 @@ def test_a_case_as_a_lens_file_has_the_surfaces_and_light_of_the_case(tmp_path, 
     wavelength = float(bench.system.wavelengths[0])
     rays = sunflower(0.0, 1.0, 50)
     for case, instant in ((0, 0), (2, 3)):
-        path = export_case(store, tmp_path / "case.zmx", case, instant, overwrite=True)
+        (path,) = export_case(store, tmp_path / "case.zmx", case, instant, overwrite=True)
         again = wq.load_system(path)
         assert again.surfaces[0].medium == bench.system.surfaces[0].medium
         states = at_instant(system_states(bench, draw(bench, case)[1]), instant)

@@ -31,6 +31,9 @@ StoreArgument = Annotated[
 ]
 
 
+_FEW = 20  # files that are named
+
+
 def _show_link(link: str) -> None:
     out.print(f"Dashboard: {link}", markup=False, soft_wrap=True)
 
@@ -108,19 +111,26 @@ def export(
     file: Annotated[
         Path,
         typer.Argument(
-            help="FILE.nc or FILE.fits (every array), FILE.csv (one row per case), FILE.zmx (one case), "
-            "FILE.txt (displacements in one case, a file for each surface)."
+            help="FILE.nc or FILE.fits (every array), FILE.csv (one row per case), FILE.zmx (one case; "
+            "a file for each segment), FILE.txt (displacements in one case, a file for each surface)."
         ),
     ],
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.")] = False,
     case: Annotated[int | None, typer.Option(help="Case of FILE.zmx or FILE.txt.")] = None,
     instant: Annotated[int, typer.Option(help="Instant of that case, counted from 0.")] = 0,
+    under: Annotated[
+        str, typer.Option(help="Controller or excitation of that case, where it has several.")
+    ] = "",
 ) -> None:
     """Write a store to one NetCDF, FITS or CSV file, or one case to a lens file or displacements."""
     from wavequake.report.campaign import export_store
 
-    written = export_store(store, file, overwrite, case, instant)
-    out.print(f"Written: {', '.join(map(str, written))}", markup=False, soft_wrap=True)
+    written = export_store(store, file, overwrite, case, instant, under)
+    few = (
+        [str(one) for one in written] if len(written) <= _FEW else [str(written[0]), "...", str(written[-1])]
+    )
+    count = f" ({len(written)} files)" if len(written) > _FEW else ""
+    out.print(f"Written: {', '.join(few)}{count}", markup=False, soft_wrap=True)
 
 
 def retry(

@@ -177,6 +177,7 @@ def export(
     overwrite: bool = False,
     case: int | None = None,
     instant: int = 0,
+    under: str = "",
 ) -> Path:
     """Write a store, or one of its cases, to a file for other programs and return its path (the first).
 
@@ -184,12 +185,14 @@ def export(
     ----------
     store : str or Path
     file : str or Path
-        ``.nc`` or ``.fits`` (every array), ``.csv`` (one row per case); of one case ``.zmx`` (its lens file)
-        or ``.txt`` (displacements, a file for each surface).
+        ``.nc`` or ``.fits`` (every array), ``.csv`` (one row per case); of one case ``.zmx`` (its lens file,
+        or one for each segment) or ``.txt`` (displacements, a file for each surface).
     overwrite : bool
         Replace the file.
     case, instant : int
         Of ``.zmx`` and ``.txt``; the instant is counted from 0.
+    under : str
+        Controller or excitation of that case, where it has several.
 
     Raises
     ------
@@ -203,7 +206,7 @@ def export(
     from wavequake.campaign.store.objects import location
     from wavequake.report.campaign import export_store
 
-    return export_store(location(store), Path(file), overwrite, case, instant)[0]
+    return export_store(location(store), Path(file), overwrite, case, instant, under)[0]
 
 
 def margins(study: str | Path, **overrides: Any) -> "pd.DataFrame":

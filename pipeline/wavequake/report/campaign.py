@@ -115,9 +115,14 @@ def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
 
 
 def export_store(
-    store: Path, path: Path, overwrite: bool = False, case: int | None = None, instant: int = 0
+    store: Path,
+    path: Path,
+    overwrite: bool = False,
+    case: int | None = None,
+    instant: int = 0,
+    under: str = "",
 ) -> tuple[Path, ...]:
-    """Export a store to one file, or one case to a lens file (.zmx) or displacements (.txt, several files).
+    """Export a store to one file, or one case to lens files (.zmx) or displacements (.txt, several files).
 
     Raises as :func:`report_store` and what writes such a file; UserError, too, if no case is said of which a
     lens file or displacements are made, or one where all are written.
@@ -129,8 +134,8 @@ def export_store(
         if case is None:
             raise UserError(f"A {path.suffix} file holds one case of the store; say --case ID, too.")
         if path.suffix.lower() == ".zmx":
-            return (export_case(store, path, case, instant, overwrite),)
-        return export_displacements(store, path, case, instant, overwrite)
+            return export_case(store, path, case, instant, overwrite, under)
+        return export_displacements(store, path, case, instant, overwrite, under)
     if case is not None:
         raise UserError(f"A {path.suffix} file holds all cases; --case belongs to .zmx and .txt.")
     dataset, target = open_store(store), target_of(path, overwrite)

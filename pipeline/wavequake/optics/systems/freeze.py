@@ -54,7 +54,7 @@ def frozen(system: OpticalSystem, states: SystemStates, instant: int = 0) -> Opt
     surfaces = []
     for index, surface in enumerate(system.surfaces):
         given = states.deformations[index]
-        shape = surface.shape if given is None else _deformed(surface, given[instant])
+        shape = surface.shape if given is None else deformed_shape(surface, given[instant])
         if shape is None:
             assert given is not None
             reach = [beam_extents(system, [index], one)[0] for one in (None, at_instant(states, instant))]
@@ -81,7 +81,7 @@ def _turned(fields: Array, turn: Array) -> Array:
     return angles
 
 
-def _deformed(surface: Surface, numbers: Array) -> Shape | None:
+def deformed_shape(surface: Surface, numbers: Array) -> Shape | None:
     """Return a shape and its deformation as one, if there is a form that holds both."""
     shape, form = surface.shape, surface.deformation
     if not numbers.any():

@@ -39,10 +39,11 @@ from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_o
 from wavequake.optics.zemax.gradients import gradient_lines
 from wavequake.optics.zemax.grids import grid_lines
 from wavequake.optics.zemax.media import MODEL_GLASS, GlassShelf
+from wavequake.optics.zemax.openings import apertures
 from wavequake.optics.zemax.own_glasses import is_known, of_maker, own_glasses, own_name
 from wavequake.optics.zemax.phases import MAX_EVEN_TERMS, phase_lines
 from wavequake.optics.zemax.rows import written
-from wavequake.optics.zemax.surfaces import MAX_TERMS, cardan_angles, spider
+from wavequake.optics.zemax.surfaces import MAX_TERMS, cardan_angles
 
 MAX_FIELDS = 12
 MAX_WAVELENGTHS = 24
@@ -165,7 +166,19 @@ def _fields(system: OpticalSystem) -> list[str]:
         f"FTYP {int(heights)} {int(system.telecentric)} {count} {waves} 0 0 0",
         "XFLN " + " ".join(written(value) for value in padded[:, 0]),
         "YFLN " + " ".join(written(value) for value in padded[:, 1]),
+        *_vignetting(system),
     ]
+
+
+def _vignetting(system: OpticalSystem) -> list[str]:
+    """Return which part of the stop the light of each field fills, if not all of it."""
+    if not system.vignetting:
+        return []
+    factors = np.zeros((MAX_FIELDS, 5))
+    factors[: len(system.vignetting)] = system.vignetting
+    factors[:, 4] = np.rad2deg(factors[:, 4])
+    rows = zip(("VDXN", "VDYN", "VCXN", "VCYN", "VANN"), factors.T, strict=True)
+    return [f"{keyword} {' '.join(written(value) for value in values)}" for keyword, values in rows]
 
 
 def _wavelengths(system: OpticalSystem) -> list[str]:
@@ -234,8 +247,7 @@ def _rows(
     """
     surface, last = system.surfaces[index], index == len(system.surfaces) - 1
     gap = 0.0 if last else float(system.surfaces[index + 1].position[2] - surface.position[2])
-    *apertures, lines = _surface(system, index, before, begins)
-    on_it = [[*one, "DISZ 0.0"] for one in apertures]
+    *on_it, lines = _surface(system, index, before, begins)
     x, y = (float(value) for value in surface.position[:2])
     tilts = [float(angle) for angle in np.rad2deg(cardan_angles(surface.rotation))]
     if not any((x, y, *tilts)):
@@ -253,7 +265,7 @@ def _break(numbers: Sequence[float], order: int, gap: float) -> list[str]:
 def _surface(
     system: OpticalSystem, index: int, before: Medium | GradientIndex, begins: Surface
 ) -> list[list[str]]:
-    """Return the lines of a surface, after those of equal ones that hold further apertures."""
+    """Return a surface's lines but the distance, after rows of equal ones that hold further apertures."""
     surface = system.surfaces[index]
     _require_one_line(surface.name, "a surface")
     if surface.deformation is not None:
@@ -273,9 +285,10 @@ def _surface(
     parts = [Opening(inner=dark), opening]  # an obscured pupil is a dark center of the stop
     if opening.center == (0.0, 0.0):
         parts = [replace(opening, inner=max(dark, opening.inner))]
-    apertures = [lines for part in parts for lines in _apertures(part, surface.name) if lines]
-    *more, own = apertures or [[]]
-    lines += own
+    found = [one for part in parts for one in apertures(part, surface.shape, surface.name)]
+    own = next((one for one in reversed(found) if not one.turn), None)
+    lines += own.lines if own else ()
+    more = [one for one in found if one is not own]
     semi_diameter = opening.outer
     if index == system.stop:
         lines.append("STOP")
@@ -291,8 +304,15 @@ def _surface(
             f"The surface {surface.name} has several apertures and {before.name} before it, whose index "
             "varies: a lens file holds one aperture there."
         )
-    same = [*shape, *_glass(before, surface.name)]
-    return [[f"COMM {surface.name} aperture {k}", *same, *one] for k, one in enumerate(more, start=1)] + rows
+    for k, one in reversed(list(enumerate(more, start=1))):
+        same = _shape(replace(surface, shape=one.shape, phase=None), system.name)
+        glass = _glass(before, surface.name)
+        here = [[f"COMM {surface.name} aperture {k}", *same, *glass, *one.lines, "DISZ 0.0"]]
+        if one.turn:
+            turn = [0.0, 0.0, 0.0, 0.0, math.degrees(one.turn)]
+            here = [_break(turn, 0, 0.0), *here, _break([-value for value in turn], 1, 0.0)]
+        rows = [*here, *rows]
+    return rows
 
 
 def _shape(surface: Surface, system: str) -> list[str]:
@@ -366,31 +386,3 @@ def _note(system: OpticalSystem) -> list[str]:
 def _extra_data(coefficients: tuple[float, ...], radius: float) -> list[str]:
     values = [float(len(coefficients)), radius, *coefficients]
     return [f"XDAT {k} {written(value)} 0 0" for k, value in enumerate(values, start=1)]
-
-
-def _apertures(opening: Opening, name: str) -> list[list[str]]:
-    """Return the apertures whose intersection an opening is, the lines of each."""
-    x, y = opening.center
-    shift = [f"OBDC {written(x)} {written(y)}"] if x or y else []
-    found = []
-    if opening.arms:
-        arms = opening.arms
-        if arms != spider(arms[0][1], len(arms)):
-            raise UserError(
-                f"The surface {name} has arms that are no spider of equal ones at equal angles, the first "
-                "along x, which a lens file cannot hold."
-            )
-        found.append([f"SPID {written(arms[0][1])} {len(arms)} 0"])
-    if opening.corners:
-        x, y = (max(corner[axis] for corner in opening.corners) for axis in (0, 1))
-        if len(opening.corners) != 4 or set(opening.corners) != {(-x, -y), (x, -y), (x, y), (-x, y)}:
-            raise UserError(
-                f"The surface {name} has a polygonal opening that is no centered rectangle, which a lens "
-                "file cannot hold."
-            )
-        found.append([f"SQAP {written(x)} {written(y)} 0"])
-    elif math.isfinite(opening.outer):
-        found.append([f"CLAP {written(opening.inner)} {written(opening.outer)} 0"])
-    if opening.inner and not (math.isfinite(opening.outer) and not opening.corners):
-        found.append([f"OBSC 0.0 {written(opening.inner)} 0"])
-    return [[*lines, *shift] for lines in found]

@@ -39,7 +39,7 @@ from wavequake.optics.zemax.rows import (
 MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37, "GRID_SAG": 231}  # up to degree 20
 
 _FRINGE_TERMS = 36
-_CORNERS = 72  # of the polygon that stands for an ellipse
+CORNERS = 72  # of the polygon that stands for an ellipse
 _ASPHERE = range(1, 9)  # parameters of rho^2 to rho^16 beside Zernike polynomials
 
 _Builder = Callable[[Row, float, float, float], Shape]
@@ -176,8 +176,8 @@ def opening(row: Row, scale: float) -> Opening | None:
 
 def ellipse(low: float, high: float) -> tuple[tuple[float, float], ...]:
     """Return the corners of a polygon of the area of an ellipse of these half-axes, to 6e-4 of them."""
-    angle = 2.0 * math.pi * np.arange(_CORNERS) / _CORNERS
-    grown = math.sqrt(2.0 * math.pi / _CORNERS / math.sin(2.0 * math.pi / _CORNERS))
+    angle = 2.0 * math.pi * np.arange(CORNERS) / CORNERS
+    grown = math.sqrt(2.0 * math.pi / CORNERS / math.sin(2.0 * math.pi / CORNERS))
     x, y = grown * low * np.cos(angle), grown * high * np.sin(angle)
     return tuple(zip(x.tolist(), y.tolist(), strict=True))
 

@@ -14,7 +14,7 @@ from wavequake.optics.shapes.shapes import GridDeformation, GridSag, ZernikeDefo
 from wavequake.optics.systems.bodies import beam_radii
 from wavequake.optics.systems.kinematics import moved_poses
 from wavequake.optics.systems.system import OpticalSystem, Surface, SystemStates
-from wavequake.report.exports.lens_file import disturbed
+from wavequake.report.exports.case_states import disturbed
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ _POINTS, _RIM = 2000, 180  # over the surface, and on its edge
 
 
 def export_displacements(
-    store: Path, path: Path, case: int, instant: int = 0, overwrite: bool = False
+    store: Path, path: Path, case: int, instant: int = 0, overwrite: bool = False, under: str = ""
 ) -> tuple[Path, ...]:
     """Write ``NAME-SURFACE.txt`` for NAME.txt and each surface that moves or deforms: lines x y z dx dy dz.
 
@@ -35,7 +35,7 @@ def export_displacements(
         If there is no such case or instant, the store's workflow has no optical system of surfaces, nothing
         moves, or a file exists and shall not be overwritten.
     """
-    system, states = disturbed(store, case)
+    system, states = disturbed(store, case, under)
     count = len(states.surface_motion)
     if not 0 <= instant < count:
         raise UserError(f"There are {count} instants, 0 to {count - 1}; there is no instant {instant}.")

@@ -115,8 +115,16 @@ def case_blocks(
     control: ControlBench, drawn: CaseDraw, device: Device, controller: str
 ) -> Iterator[tuple[int, Traced, Wavefront]]:
     """Trace a case under a controller: number of instants, rays and wavefronts of each block."""
+    for count, states in controlled_blocks(control, drawn, device, controller):
+        yield count, *trace(control.prepared, states, device)
+
+
+def controlled_blocks(
+    control: ControlBench, drawn: CaseDraw, device: Device, controller: str
+) -> Iterator[tuple[int, SurfaceStates]]:
+    """Yield how a case moves under a controller: number of instants and states of each block."""
     for count, states, measured in _disturbed(control, drawn, device):
-        yield count, *trace(control.prepared, controlled(control, controller, states, measured), device)
+        yield count, controlled(control, controller, states, measured)
 
 
 def _disturbed(

@@ -1,0 +1,107 @@
+"""Each segment of a telescope at an instant, and what follows it, as an optical system of its own.
+
+A sequential program follows light from surface to surface, so it sees one segment at a time: the parent of M1
+where the segment's motion takes it, with the segment's glass as its opening.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.kernels.device.tiles import TILE, from_tiles
+from wavequake.optics.segments.kinematics import cardan, segment_poses
+from wavequake.optics.segments.layout import is_monolithic
+from wavequake.optics.segments.parent import parent_system
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.telescope import SegmentedTelescope, footprints
+from wavequake.optics.shapes.shapes import Opening, ZernikeDeformation
+from wavequake.optics.systems.freeze import deformed_shape
+from wavequake.optics.systems.system import OpticalSystem, Surface
+
+Array = NDArray[np.float64]
+
+_MARGIN = 1.01  # of the light that is sent to a segment, beyond its corners
+
+
+def segment_systems(
+    telescope: SegmentedTelescope,
+    states: SurfaceStates,
+    instant: int,
+    wavelengths: Sequence[float],
+    beside: Sequence[tuple[float, float]] = ((0.0, 0.0),),
+) -> Iterator[tuple[str, OpticalSystem]]:
+    """Yield the name of each segment and the system of its light, moved and with nothing left that moves.
+
+    Light fills a circle about the segment in the plane of M1's rim: vignetting factors of the pupil.
+
+    Parameters
+    ----------
+    telescope : SegmentedTelescope
+    states : SurfaceStates
+        Whole tiles.
+    instant : int
+    wavelengths : sequence of float
+        mm.
+    beside : sequence of (float, float)
+        Angles of the field points from that of the states, rad.
+
+    Raises
+    ------
+    UserError
+        If segments have figures, which no surface of a lens file can hold.
+    """
+    segments = telescope.segments
+    if states.segment_figure[instant].any():
+        raise UserError(
+            f"The segments of {telescope.name} deform, each about its own center, for which lens files have "
+            "no surface type; cases of rigid motion have one."
+        )
+    behind = tuple(_behind(telescope, states, instant))
+    parent = replace(
+        parent_system(telescope, wavelengths[0]),
+        fields=states.field[instant] + np.array(beside),
+        wavelengths=np.array(wavelengths),
+    )
+    stop, primary, *_ = parent.surfaces
+    first = instant - instant % TILE
+    tile = segment_poses(segments, states.segment_motion[first : first + TILE])
+    poses = from_tiles(tile)[instant - first]
+    for number, name in enumerate(segments.names):
+        turn, shift = poses[number, :9].reshape(3, 3), poses[number, 9:]
+        moved = replace(primary, name=name, position=-turn.T @ shift, rotation=turn.T)
+        if is_monolithic(segments):
+            yield name, replace(parent, surfaces=(stop, moved, *behind))
+            continue
+        corners = segments.corners[number]
+        middle = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
+        reach = _MARGIN * np.hypot(*(corners - middle).T).max() / telescope.pupil_outer
+        share = 1.0 - reach
+        glass = Opening(corners=tuple((float(x), float(y)) for x, y in corners))
+        light = (*(middle / telescope.pupil_outer).tolist(), share, share, 0.0)
+        surfaces = (replace(stop, opening=None), replace(moved, opening=glass), *behind)
+        pupil = replace(parent.pupil, obscuration=0.0)
+        yield name, replace(parent, surfaces=surfaces, pupil=pupil, vignetting=(light,) * len(beside))
+
+
+def _behind(telescope: SegmentedTelescope, states: SurfaceStates, instant: int) -> Iterator[Surface]:
+    """Yield the surfaces after M1 where they stand, with their figures."""
+    motion, figure = states.surface_motion[instant], states.mirror_figure
+    radii = None if figure is None else footprints(telescope)
+    for number, surface in enumerate(telescope.surfaces):
+        moved = replace(
+            surface,
+            position=surface.position + motion[number, :3],
+            rotation=cardan(motion[number, 3:]) @ surface.rotation,
+        )
+        last = number == len(telescope.surfaces) - 1
+        terms = np.zeros(0) if figure is None or last else figure[instant, number]
+        if terms.any():
+            assert radii is not None
+            bent = replace(moved, deformation=ZernikeDeformation(len(terms), float(radii[number])))
+            shape = deformed_shape(bent, terms)  # mirrors of telescopes are conics and even aspheres
+            assert shape is not None
+            moved = replace(moved, shape=shape)
+        yield moved
