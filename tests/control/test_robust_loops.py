@@ -22,7 +22,13 @@ from wavequake.control.robustness.plant import (
     truncation_bound,
     whole_plant,
 )
-from wavequake.control.robustness.residual import closed_covariance, open_covariance
+from wavequake.control.robustness.residual import (
+    closed_covariance,
+    closed_spectra,
+    open_covariance,
+    open_spectrum,
+    shown_forces,
+)
 from wavequake.errors import UserError
 
 ALPHA, BETA = 0.02, 2e-3
@@ -312,6 +318,22 @@ def test_what_is_left_is_the_integral_over_frequency():
     for what, exact in (("shape", shape @ covariance @ shape), ("force", np.trace(forces))):
         total = sum(quad(density, *ends, args=(what,), epsrel=1e-9, limit=200)[0] for ends in pairwise(edges))
         assert total / np.pi == pytest.approx(exact, rel=1e-5)
+
+
+def test_spectra_of_a_form_add_up_to_its_covariance():
+    loop, noise = loop_of_two(1.0, 8), 0.7
+    count = len(loop.plant.squared)
+    shape = np.random.default_rng(1).normal(size=(count, count))
+    gram = shape @ shape.T
+    omega = grid(loop, closed_poles(loop)[0])
+    omega = np.unique(np.concatenate([omega, (omega[1:] + omega[:-1]) / 2]))
+    forces = shown_forces(loop.plant, gram, omega)
+    for spectrum, exact in (
+        (sum(closed_spectra(loop, forces, noise, omega)), np.sum(gram * closed_covariance(loop, noise)[0])),
+        (closed_spectra(loop, forces, noise, omega)[0], np.sum(gram * closed_covariance(loop, 1e-30)[0])),
+        (open_spectrum(forces), np.sum(gram * open_covariance(loop.plant))),
+    ):
+        assert np.trapezoid(spectrum, omega / (2 * np.pi)) == pytest.approx(exact, rel=5e-4)
 
 
 def test_without_a_controller_the_closed_form_is_lyapunovs():

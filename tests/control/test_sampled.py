@@ -135,14 +135,30 @@ def test_margins_are_those_of_python_control():
 def test_curves_of_a_pure_delay_are_those_by_frames():
     hertz = np.geomspace(0.1, 300.0, 50)
     found = curve(scalar(0.3, 1), hertz)
-    gain, rejection, passed = found.gain, found.rejection, found.passed
+    rejection, passed = found.rejection, found.passed
     inside = hertz < 250.0
     wanted = residual.loop_gain(controllers.integrator(0.3, 2), T, hertz[inside])
-    np.testing.assert_allclose(gain[inside], wanted, rtol=1e-9)
+    for gain in found.gain.T:  # the only eigenvalue has both margins
+        np.testing.assert_allclose(gain[inside], wanted, rtol=1e-9)
+        assert np.isnan(gain[~inside]).all()
     squares = residual.sensitivity(controllers.integrator(0.3, 2), T, hertz[inside])
     np.testing.assert_allclose(rejection[inside] ** 2, squares[0], rtol=1e-9)
     np.testing.assert_allclose(passed[inside] ** 2, squares[1], rtol=1e-9)
-    assert np.isnan(gain[~inside]).all()
+
+
+def test_curves_are_those_of_the_directions_that_have_the_margins():
+    """Of two directions the faster one is unstable first; far from there the slower one is nearer to -1."""
+    late, early = 1.2, 0.3
+    hertz = np.append(np.geomspace(0.1, 249.0, 400), 250.0)
+    sees = np.diag([late, early])
+    found = curve(SampledLoop(timing(1), RIGID, sees, shared_filter(np.eye(2), integrator(0.5))), hertz)
+    one = curve(scalar(0.5 * late, 1), hertz)
+    assert found.gain_up == pytest.approx(one.gain_up, rel=1e-9)
+    assert found.phase == pytest.approx(one.phase, rel=1e-9)
+    np.testing.assert_allclose(found.gain, one.gain, rtol=1e-9)
+    # The nearest to -1 is the other direction somewhere: a curve of these would jump.
+    loci = one.gain[:, 0] * np.array([[1.0], [early / late]])
+    assert len(set(np.abs(1 + loci).argmin(axis=0))) == 2
 
 
 def test_channels_that_share_a_filter_have_the_poles_of_the_whole_loop():

@@ -8,7 +8,12 @@ from wavequake.errors import UserError
 from wavequake.firmware.build import BOARDS, compiler_of
 from wavequake.report.lens import figures as draw
 from wavequake.report.lens import report as lens
+from wavequake.report.lens.over_frequency import over_frequency
+from wavequake.workflows.lens.loops import looked
+from wavequake.workflows.loops.curves import frequencies, kept
+from wavequake.workflows.loops.loop_margins import loops_of
 from wavequake.workflows.run import run
+from wavequake.workflows.study import load_study
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +55,29 @@ def test_report_holds_all_figures_and_what_is_left_out(dataset, tmp_path):
     ):
         assert f'id="{key}"' in page or key in page
     assert "The identification failed." in page
-    assert page.count("<svg") == 16  # with the layout
+    assert page.count("<svg") == 17  # with the layout
+
+
+def test_loops_through_the_image_are_drawn_with_their_margins_and_noise(dataset, tmp_path):
+    assert [one.id for one in over_frequency(dataset, "initial", [0, 2])] == ["initial-spectrum"]
+    path = tmp_path / "s.toml"
+    path.write_text(
+        '[study]\nname = "s"\nworkflow = "lens-experiment"\n[bench]\nsprings = ["initial"]\n'
+        '[[sensor]]\nname = "camera"\nmodel = "line-of-sight"\nrate_hz = 200.0\nnoise = 5.0\n'
+        '[[loop]]\nname = "slow"\nmodel = "integrator"\nsensor = "camera"\nlatency_frames = 0.2\n'
+        "bandwidth_hz = 4.0\n"
+    )
+    study = load_study(path)
+    known = dataset.assign_attrs(study=study.identity_text())
+    shown = [one.id for one in over_frequency(known, "initial", [0, 2])]
+    assert shown == [f"initial-{key}" for key in ("spectrum", "bode", "nyquist", "rejection", "noise")]
+    hertz, found = frequencies(study.sensor, [0.005]), looked(study, "initial")
+    (margins,), curves = loops_of(study), kept(["slow"], hertz, found, "um")
+    assert curves["gain_up"][1] == pytest.approx(margins.gain_up, rel=2e-3)
+    assert curves["phase_margin"][1] == pytest.approx(margins.phase_deg, abs=0.3)
+    # Noise of a camera frame moves the image by what an integrator makes of it: |T|^2, seen as means.
+    heard, passed = curves["noise_los"][1][0], curves["passed_noise"][1][0]
+    np.testing.assert_allclose(heard[:50], 2 * 0.005 * 25 * passed[:50] ** 2, rtol=1e-9)
 
 
 def test_simulated_stage_is_close_to_the_actual_one(dataset):
@@ -94,4 +121,4 @@ def test_firmware_is_shown_beside_double_precision(tmp_path):
     page = lens.write_report_of(tmp_path, dataset, tmp_path / "report.html", "numpy").read_text()
     assert digest in page
     assert "In 4 runs of the firmware" in page
-    assert page.count("<svg") == 18  # with the layout
+    assert page.count("<svg") == 19  # with the layout

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from wavequake.report.loops.over_frequency import over_frequency
+from wavequake.report.loops.over_frequency import locus, over_frequency
 from wavequake.report.loops.spectra import of_density, of_histories
+from wavequake.workflows.loops.curves import spectrum
 
 STEP = 1e-3
 
@@ -41,6 +42,29 @@ def test_a_density_adds_up_to_its_integral():
     lacking = of_density("a", np.append(hertz, 500.0), density)
     assert found.above[0] ** 2 - lacking.above[0] ** 2 == pytest.approx(0.5 * density[0], rel=1e-9)
     assert len(found.hertz) == 200  # what is not known is not drawn
+
+
+def test_the_spectrum_of_a_motion_is_where_it_moves_and_adds_up():
+    """Lines of amplitude 3 and 4 along two axes at 50 and 200 Hz, white noise beside, and a mean."""
+    time, hertz = STEP * np.arange(2001), np.geomspace(0.5, 500.0, 150)
+    motion = np.stack([3 * np.sin(2 * np.pi * 50 * time), 5 + 4 * np.cos(2 * np.pi * 200 * time)], axis=1)
+    between = np.sqrt(hertz[1:] * hertz[:-1])
+    wide = np.diff(np.concatenate([[hertz[0] ** 2 / between[0]], between, hertz[-1:]]))
+    found = spectrum(time, motion, hertz)
+    powers = np.cumsum(found * wide)
+    np.testing.assert_allclose(np.interp([30.0, 100.0, 400.0], hertz, powers), [0, 4.5, 12.5], atol=0.02)
+    noise = np.random.default_rng(2).standard_normal((200_001, 1))
+    flat = spectrum(STEP * np.arange(len(noise)), noise, hertz)
+    assert np.median(flat) == pytest.approx(2 * STEP, rel=0.05)
+    kept = np.delete(np.arange(len(time)), np.arange(3, 2000, 100))  # a little uneven
+    np.testing.assert_allclose(spectrum(time[kept], motion[kept], hertz).max(), found.max(), rtol=0.05)
+
+
+def test_eigenvalues_that_are_one_are_drawn_once():
+    size, phase = np.array([[2.0, 2.0], [1.0, 1.0], [np.nan, np.nan]]), np.zeros((3, 2))
+    assert locus(size, phase).shape == locus(size[:, 0], phase[:, 0]).shape == (3, 1)
+    size[1, 1] = 0.5
+    np.testing.assert_allclose(locus(size, phase)[1], [1.0, 0.5])
 
 
 def store(steps, noise=1e-6):
@@ -80,4 +104,8 @@ def test_figures_are_drawn_where_they_tell_something():
     assert shown(store(1000.0, noise=1e-12)) == [*linear, "d-spectrum"]  # of 2e-5 mas
     assert shown(store(1000.0).isel(controller=[0])) == ["d-spectrum"]
     assert shown(store(1000.0).isel(time=slice(20))) == [*linear, "d-noise-los"]
+    known = store(500.0)
+    known["open_psd"] = ("case", "frequency"), np.ones((2, 50))
+    assert shown(known) == [*linear, "d-spectrum", "d-noise-los"]  # what |S|^2 leaves
+    assert shown(known.isel(controller=[0])) == []
     assert shown(store(1000.0).assign_attrs(study='{"store": {"every": 2}}')) == [*linear, "d-noise-los"]

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 import wavequake as wq
 from wavequake.campaign.plugins import load_text
+from wavequake.chain.loops.judged import strongest
 from wavequake.cli import app
 from wavequake.errors import UserError
 
@@ -20,6 +21,14 @@ model = "{model}"
 sensor = "{sensor}"
 actuator = "{actuator}"
 {keys}
+"""
+
+BODY = """
+[[body]]
+name = "cell"
+[body.rigid]
+mass_kg = 1000.0
+inertia_kg_m2 = [1.0, 1.0, 1.0]
 """
 
 
@@ -83,6 +92,7 @@ def test_loops_that_cannot_be_are_said_in_a_sentence(block, words, tmp_path):
         ),
         ({"sensor.sight.bandwidth_hz": 1e300}, "bandwidth_hz: input should be less than or equal to 1000000"),
         ({"actuator.tilt.stroke": 1.0}, "actuator.tilt is saturated from the start: 'history' asks r"),
+        ({"actuator.tilt.stroke": 1.0}, " half of the time (most at "),
         ({"actuator.tilt.stuck": {"rx": 0.0, "ry": 1.0}}, "all 2 channels of the actuator 'tilt' are stuck"),
         ({"sensor.sight.rate_hz": 1e9}, "sensor.sight.rate_hz: input should be less than or equal to 100000"),
         ({"actuator.tilt.stuck": {"rz": 0.0}}, "actuator.tilt.stuck: there is no channel 'rz'"),
@@ -234,3 +244,18 @@ def test_controllers_of_others_that_fail_are_named(body, words, tmp_path):
     with pytest.raises(UserError) as caught:
         wq.plan(written(tmp_path, MORE.format(model=name, sensor="sight", actuator="tilt", keys="")))
     assert words in str(caught.value)
+
+
+def test_what_saturates_is_named_with_its_frequency():
+    time = np.sort(np.concatenate([np.linspace(0, 1, 501), [0.0301, 0.5003]]))
+    motion = 3 * np.sin(2 * np.pi * 12 * time) + 2 * np.sin(2 * np.pi * 40 * time)
+    assert strongest(time, motion) == "most at 12 Hz"
+    assert strongest(time, motion + 2.5) == "most at 12 Hz"  # 6.25 of what stands, 6.5 of what moves
+    assert strongest(time, motion + 2.6) == "static"
+    assert strongest(time, 0 * motion + 1.0) == "static"
+
+
+def test_bodies_of_a_telescope_with_loops_are_modes(tmp_path):
+    with pytest.raises(UserError, match=r"body belongs .*: give it a \[\[mode\]\]") as told:
+        wq.plan(written(tmp_path, BODY))
+    assert "\n" not in str(told.value)

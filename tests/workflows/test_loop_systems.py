@@ -71,6 +71,8 @@ def test_curves_of_frame_loops_are_those_of_python_control(control):
         left = bench.open_psd[bench.hertz < 250.0][::20] * (1 - seen + seen * np.abs(s) ** 2)
         np.testing.assert_allclose(shown["left_psd"], left, rtol=1e-6)
         assert np.isnan(one.curves["rejection"][bench.hertz >= 250.0]).all()
+        heard = 2 * study.loop.noise_mas**2 / 500.0 * np.abs(1 - s) ** 2
+        np.testing.assert_allclose(shown["noise_psd"], heard, rtol=1e-6)
 
 
 def test_loops_of_segments_have_the_poles_and_curves_of_python_control(control):
@@ -94,6 +96,12 @@ def test_loops_of_segments_have_the_poles_and_curves_of_python_control(control):
         np.testing.assert_allclose(
             np.prod(1 + size * np.exp(1j * phase), axis=1), np.linalg.det(unit + response), rtol=1e-6
         )
+        if stable:  # what is left of forces and noise together is the wavefront
+            both = found["left_psd"] + found["noise_psd"]
+            left = np.trapezoid(both, bench.hertz) + both[0] * bench.hertz[0]
+            assert np.sqrt(left) == pytest.approx(found["wavefront"], rel=1e-3)
+        else:
+            assert np.isnan(found["left_psd"]).all()
         s = np.linalg.inv(unit + response)
         for key, wanted in (("sensitivity", s), ("complementary", unit - s)):
             sizes = np.linalg.norm(wanted, 2, axis=(1, 2)) if stable else np.full(len(omega), np.nan)

@@ -146,7 +146,10 @@ def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> 
         raise UserError(f"{where} does not see where things stand; take lqg, lqr, state-space or a function.")
     if not sizes.all():
         channel = asked.channels[int(np.flatnonzero(sizes == 0)[0])]
-        raise UserError(f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all.")
+        raise UserError(
+            f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all, not even when it "
+            "stands (static); take a sensor that does, or leave the channel out."
+        )
     left, values, right = np.linalg.svd(asked.sees / sizes, full_matrices=False)
     count = len(sizes)
     rank = int((values > _APART * values[0]).sum())
@@ -156,7 +159,8 @@ def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> 
         channel = asked.channels[int((1 - (seen**2).sum(axis=0)).argmax())]
         raise UserError(
             f"{where} tells {rank} of {count} motions of the actuator {asked.actuator!r} apart, so that "
-            f"{channel!r} is not determined; set modes = {rank}, or take another sensor."
+            f"{channel!r} is not determined where it stands (static); set modes = {rank}, or take another "
+            "sensor."
         )
     kept = rank if modes is None else modes
     if kept > rank:

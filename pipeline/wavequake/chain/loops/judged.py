@@ -30,7 +30,7 @@ def judged_loops(
     optics: Sighted,
     populations: Sequence[Population],
     looks: Sequence[Array],
-    seen: Callable[[int], Array],
+    seen: Callable[[int], tuple[Array, Array]],
 ) -> tuple[tuple[Designed, ...], dict[str, SampledLoop]]:
     """Return the controllers of a study as they run, and the loops of linear ones, each alone, by name.
 
@@ -44,7 +44,7 @@ def judged_loops(
     looks : sequence of ndarray
         Of each of them that has cases, see `wavequake.chain.loops.designed.assembled`.
     seen : callable
-        Of a disturbance's place: what is seen (n, K) of its first case.
+        Of a disturbance's place: instants (n,) of its first case, and what is seen then, (n, K).
 
     Raises
     ------
@@ -169,11 +169,11 @@ def growing(study: LoopBlocks, name: str, worst: Worst, optics: Sighted) -> str:
     return f"{channel} of {actuator.name!r} grows by {worst.growth:.3g} 1/s at {worst.hertz:.4g} Hz"
 
 
-def refuse_saturated(study: LoopBlocks, optics: Sighted, seen: Mapping[str, Array]) -> None:
+def refuse_saturated(study: LoopBlocks, optics: Sighted, seen: Mapping[str, tuple[Array, Array]]) -> None:
     """Raise UserError if what an actuator would have to do is beyond its stroke most of the time.
 
-    It is judged by a correction without delay or error of what is seen (n, K) of the first case of each
-    disturbance, by name.
+    It is judged by a correction without delay or error of what is seen (n, K) at instants (n,) of the first
+    case of each disturbance, by name.
     """
     pairs = dict.fromkeys((one.sensor, one.actuator) for one in study.controller if one.sensor)
     for sensor, actuator in pairs:
@@ -182,11 +182,24 @@ def refuse_saturated(study: LoopBlocks, optics: Sighted, seen: Mapping[str, Arra
             continue
         matrix = study.part("sensor", sensor).readings(optics.light, nominal=True)
         wants = -np.linalg.pinv(matrix @ optics.sights[actuator], rcond=_SEEN) @ matrix
-        for name, values in seen.items():
-            often = np.median(np.abs(values @ wants.T), axis=0)
+        for name, (time, values) in seen.items():
+            asks = values @ wants.T
+            often = np.median(np.abs(asks), axis=0)
             if (often > one.stroke).any():
-                channel = one.channels(optics.light)[int(often.argmax())]
+                most = int(often.argmax())
+                channel, when = one.channels(optics.light)[most], strongest(time, asks[:, most])
                 raise UserError(
                     f"actuator.{actuator} is saturated from the start: {name!r} asks {channel} for "
-                    f"{often.max():.3g} half of the time, but its stroke is {one.stroke:g}."
+                    f"{often.max():.3g} half of the time ({when}), but its stroke is {one.stroke:g}."
                 )
+
+
+def strongest(time: Array, motion: Array) -> str:
+    """Say whether a motion (n,) at instants stands, mostly, or at which frequency there is most of it."""
+    even = np.linspace(time[0], time[-1], len(time))
+    sizes = np.abs(np.fft.rfft(np.interp(even, time, motion))) ** 2 * 2.0
+    sizes[0] /= 2.0
+    if sizes[0] >= sizes[1:].sum():
+        return "static"
+    place = 1 + int(sizes[1:].argmax())
+    return f"most at {place / (len(even) * (even[1] - even[0])):.3g} Hz"

@@ -12,8 +12,8 @@ import numpy as np
 from wavequake.control.linear import Array
 from wavequake.control.robustness.margins import Margins
 from wavequake.control.sampled.flexible import Complex, FlexibleLoop, Reduced, poles, response
-from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid, read_margins
-from wavequake.control.sampled.stability import LoopCurve, nearest_to_minus_one
+from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid
+from wavequake.control.sampled.stability import LoopCurve, curve_of_loci
 
 # Where integrals are parted about a pole, in its half widths.
 _ABOUT = np.array([-10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0])
@@ -115,8 +115,7 @@ def curve_of(found: Reduced, hertz: Array) -> tuple[Array, LoopCurve]:
     along = np.eye(at.gain.shape[1]) - at.sensitivity
     sizes = np.linalg.svd(along, compute_uv=False).max(axis=1, initial=0.0)
     loci = np.concatenate([np.linalg.eigvals(at.gain), at.others], axis=1)
-    rejection, passed = (np.abs(one).max(axis=1) for one in (1 / (1 + loci), loci / (1 + loci)))
-    curve = LoopCurve(nearest_to_minus_one(loci), rejection, passed, *read_margins(loci))
+    curve = curve_of_loci(loci, np.ones(len(hertz), dtype=bool))
     return np.maximum(sizes, np.abs(others).max(axis=1)), curve
 
 

@@ -63,11 +63,18 @@ def gain_margins(gain: LoopGain, hertz: Array, radius: Callable[[float], float])
     )
 
 
-def read_margins(loci: Complex) -> tuple[float, float]:
+def read_margins(loci: Complex) -> tuple[float, float, Complex]:
     """Read gain and phase margin (rad) off eigenvalues (f, q) of the loop gain of a stable loop.
 
     Each is followed from frequency to frequency, in between as a logarithmic spiral; where it turns by more
     than 60 degrees, nothing is known. inf and pi: there is none. `gain_margins` follows all poles instead.
+
+    Returns
+    -------
+    gain_up, phase : float
+    critical : ndarray of complex, shape (f, 2)
+        The eigenvalue that has the gain margin, and that which has the phase margin; where there is none,
+        that which comes nearest to -1.
     """
     known = loci.copy()
     for before, now in pairwise(known):
@@ -80,10 +87,16 @@ def read_margins(loci: Complex) -> tuple[float, float]:
     crosses = small & (angle * (angle + turn) <= _ROUNDING) & (np.abs(angle) < _KNOWN) & (turn != 0)
     share = np.clip(-angle[crosses] / turn[crosses], 0.0, 1.0)
     at = (1 - share) * low[crosses] + share * high[crosses]
+    up = np.where(at < 0, at, -np.inf)
     meets = small & (low * high <= 0) & (low != high)
     share = low[meets] / (low - high)[meets]
     late = np.abs(np.angle(np.exp(1j * (angle[meets] + share * turn[meets]))))
-    return float(np.exp(-at[at < 0].max(initial=-np.inf))), float(late.min(initial=np.pi))
+    nearest = int(np.abs(1.0 + known).min(axis=0).argmin())
+    which = [
+        int(np.nonzero(found)[1][place.argmin()]) if np.isfinite(place).any() else nearest
+        for found, place in ((crosses, -up), (meets, late))
+    ]
+    return float(np.exp(-up.max(initial=-np.inf))), float(late.min(initial=np.pi)), known[:, which]
 
 
 def _worth_trying(loci: Complex, factors: Array) -> Array:

@@ -9,7 +9,7 @@ from wavequake.control.linear import Array, frequency_response
 from wavequake.control.sampled.alike import Complex, Parts, sizes_of
 from wavequake.control.sampled.channel import in_series, sampled_channel
 from wavequake.control.sampled.regulator import model_of
-from wavequake.control.sampled.stability import SampledLoop, Sight, filter_of, parts_of
+from wavequake.control.sampled.stability import SampledLoop, Sight, below_half, filter_of, parts_of
 
 
 def noise_spectra(loop: SampledLoop, look: Sight, noise: Array, hertz: Array) -> Array:
@@ -32,7 +32,7 @@ def noise_spectra(loop: SampledLoop, look: Sight, noise: Array, hertz: Array) ->
         and T the period; NaN beyond half the rate of commands.
     """
     found = np.full((len(hertz), len(look.sees)), np.nan)
-    inside = hertz < 0.5 / loop.timing.period
+    inside = below_half(hertz, loop.timing)
     parts = parts_of(loop)
     moved = (
         _whole(loop, look, noise, hertz[inside])

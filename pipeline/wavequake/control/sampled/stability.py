@@ -25,6 +25,7 @@ _ALIKE = 1e-9
 _UNUSED = 1e-13
 # A pole that turns by less than this in a period, rad, is real but for rounding.
 _STILL = 1e-9
+_ROUNDED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -291,8 +292,8 @@ class LoopCurve:
 
     Attributes
     ----------
-    gain : ndarray of complex, shape (f,)
-        The eigenvalue of the loop gain that is nearest to -1.
+    gain : ndarray of complex, shape (f, 2)
+        The eigenvalues of the loop gain that have the gain and the phase margin.
     rejection, passed : ndarray, shape (f,)
         Largest 1 / (1 + L) and L / (1 + L) of an eigenvalue L.
     gain_up, phase : float
@@ -308,19 +309,20 @@ class LoopCurve:
 
 def curve(loop: SampledLoop, hertz: Array) -> LoopCurve:
     """Return a stable loop at rising frequencies in Hz (f,)."""
-    half = 0.5 / loop.timing.period
-    inside = hertz < half
-    # At half the rate a loop gain is real, so that margins of slow loops lie there.
-    every = _loop_gain(loop, parts_of(loop)).loci(np.append(hertz[inside], half))
-    gain = np.full(len(hertz), np.nan + 0j)
-    rejection, passed = np.full((2, len(hertz)), np.nan)
-    loci = every[:-1]
-    gain[inside] = nearest_to_minus_one(loci)
+    inside = below_half(hertz, loop.timing)
+    return curve_of_loci(_loop_gain(loop, parts_of(loop)).loci(hertz[inside]), inside)
+
+
+def below_half(hertz: Array, timing: Timing) -> NDArray[np.bool_]:
+    """Return which frequencies are not above half the rate of commands, but for rounding."""
+    return np.asarray(hertz <= (0.5 + _ROUNDED) / timing.period)
+
+
+def curve_of_loci(loci: Complex, inside: NDArray[np.bool_]) -> LoopCurve:
+    """Return a stable loop by the eigenvalues (n, q) of its loop gain at those n of f frequencies."""
+    gain = np.full((len(inside), 2), np.nan + 0j)
+    rejection, passed = np.full((2, len(inside)), np.nan)
+    gain_up, phase, gain[inside] = read_margins(loci)
     rejection[inside] = (1.0 / np.abs(1.0 + loci)).max(axis=1)
     passed[inside] = np.abs(loci / (1.0 + loci)).max(axis=1)
-    return LoopCurve(gain, rejection, passed, *read_margins(every))
-
-
-def nearest_to_minus_one(loci: Complex) -> Complex:
-    """Return of eigenvalues (f, q) at each frequency the one that is nearest to -1."""
-    return np.asarray(loci[np.arange(len(loci)), np.abs(1.0 + loci).argmin(axis=1)])
+    return LoopCurve(gain, rejection, passed, gain_up, phase)

@@ -17,6 +17,7 @@ from wavequake.chain.loops.controllers.perfect import Perfect
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.lens import figures as draw
 from wavequake.report.lens.firmware import Firmware, firmware_of, left_beside, off_exact
+from wavequake.report.lens.over_frequency import over_frequency
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
@@ -291,6 +292,7 @@ def _figures(dataset: xr.Dataset, one: Configuration) -> Iterator[Picture]:
         ("sensor", "Lens 4 and what the control unit reads", draw.sensor(case)),
     ):
         yield picture(f"{springs}-{key}", f"{text}, {springs} springs", figure, _HOW[key])
+    yield from over_frequency(dataset, springs, list(one.rows))
     if one.firmware:
         for key, text, figure in (
             ("firmware-off", "Commands of the firmware against double precision", off_exact(one.firmware)),

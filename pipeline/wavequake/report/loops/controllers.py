@@ -11,8 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.report.loops import figures as draw
-from wavequake.report.loops.frequency import NYQUIST, Curve, bode, nyquist, sensitivities
+from wavequake.report.loops.frequency import Curve
 from wavequake.report.loops.outcomes import Level, Outcome, answer, certificate, levels_of, spilled
+from wavequake.report.loops.over_frequency import locus, loops_over_frequency, noise_picture
+from wavequake.report.loops.spectra import of_density, spectra
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
@@ -163,27 +165,37 @@ def _figures(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]
 
 
 def _over_frequency(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]:
-    shown = [_curve(dataset, one) for one in level.telling]
-    yield picture(
-        f"bode-{place}",
-        "Loop gain over frequency with its margins",
-        bode(shown),
-        "A line for each eigenvalue of the loop gain with the full model. Bars end where a stable loop would "
-        "become unstable: as a factor of the gain above, in degrees below. Shown are the model that is "
+    yield from loops_over_frequency(
+        f"effort-{place}-",
+        [_curve(dataset, one) for one in level.telling],
+        "A line for each eigenvalue of the loop gain with the full model. Shown are the model that is "
         "enough, the most accurate one that destabilizes and the least accurate one that does not.",
-    )
-    yield picture(
-        f"nyquist-{place}",
-        "Loop gain in the complex plane",
-        nyquist(shown),
-        NYQUIST,
-    )
-    yield picture(
-        f"sensitivity-{place}",
-        "Sensitivity and complementary sensitivity",
-        sensitivities(shown),
         "Largest singular values: of what is left of a disturbance at the sensors, and of what comes of "
         "their noise. An unstable loop has none.",
+    )
+    stable = [one for one in level.telling if one.stable]
+    if not stable or "left_psd" not in dataset:  # 0.3 kept no spectra
+        return
+    hertz = dataset["frequency"].to_numpy()
+    left, heard = (
+        [of_density(one.variant, hertz, dataset[key].to_numpy()[one.row], flat=True) for one in stable]
+        for key in ("left_psd", "noise_psd")
+    )
+    calm = of_density("without a controller", hertz, dataset["open_psd"].to_numpy(), flat=True, calm=True)
+    yield picture(
+        f"effort-{place}-spectrum",
+        "Spectrum of the wavefront, and how its rms adds up",
+        spectra([calm, *left], "What is left of the forces", "nm"),
+        "Exact, with the full model, for white forces; the thick line is the wavefront without a controller. "
+        "Below is the rms of all that is faster than a frequency. The sensors' noise is not in it.",
+    )
+    yield noise_picture(
+        f"effort-{place}-noise",
+        "wavefront",
+        "nm",
+        heard,
+        "Exact, with the full model: white noise of the sensors through controller and forces. Squared it "
+        "adds to the square of what is left of the forces.",
     )
 
 
@@ -195,7 +207,7 @@ def _curve(dataset: xr.Dataset, one: Outcome) -> Curve:
     return Curve(
         one.variant if one.stable else f"{one.variant}, unstable",
         dataset["frequency"].to_numpy(),
-        size * np.exp(1j * np.radians(phase)),
+        locus(size, phase),
         sensitivity,
         complementary,
         one["gain_up"],

@@ -4,10 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from wavequake.report.histories import has_all_instants
 from wavequake.report.loops.frequency import NYQUIST, Curve, bode, nyquist, sensitivities
-from wavequake.report.loops.spectra import Spectrum, of_density, of_histories, spectra
+from wavequake.report.loops.spectra import Array, Spectrum, of_density, of_histories, spectra
 from wavequake.report.page import Picture, picture
 from wavequake.words import counted
 
@@ -15,6 +16,19 @@ from wavequake.words import counted
 _LEAST, _MOST = 32, 64
 # Steps of time that differ by less are even; noise that moves less than this share of what is left is none.
 _EVEN, _NOTHING = 1e-6, 1e-3
+_GAINS = (
+    "Each controller alone: the eigenvalues of its loop gain that have the gain and the phase margin. Curves "
+    "end at half the rate of commands."
+)
+_BARS = "Bars end where a stable loop would become unstable: as a factor of the gain above, in degrees below."
+SENSITIVITY = (
+    "|S| is what is left of a motion, |T| what comes of the sensor's noise. Below 1 a loop helps, above 1 it "
+    "amplifies."
+)
+_HEARD = (
+    "Of each controller alone, exactly: noise of its sensors through regulator and actuator, as means over "
+    "frames. It is a part of what is left."
+)
 
 
 def over_frequency(
@@ -37,22 +51,7 @@ def over_frequency(
     names = list(models)
     if "gain_up" not in cases:  # of a release that kept no margins
         return
-    if curves := curves_of(cases, names):
-        yield picture(
-            f"{disturbance}-bode",
-            "Loop gain over frequency with its margins",
-            bode(curves),
-            "Each controller alone: the eigenvalue of the loop gain that is nearest to -1. Bars end where a "
-            "loop would be unstable. Curves end at half the rate of commands.",
-        )
-        yield picture(f"{disturbance}-nyquist", "Loop gain in the complex plane", nyquist(curves), NYQUIST)
-        yield picture(
-            f"{disturbance}-rejection",
-            "Sensitivity and complementary sensitivity",
-            sensitivities(curves),
-            "|S| is what is left of a motion, |T| what comes of the sensor's noise. Below 1 a loop helps, "
-            "above 1 it amplifies.",
-        )
+    yield from loops_over_frequency(f"{disturbance}-", curves_of(cases, names))
     left, count = _left(cases, models)
     if left:
         yield picture(
@@ -63,16 +62,48 @@ def over_frequency(
             "thick line is the motion without a loop. Below is the rms of all that is faster than a "
             "frequency: where a curve rises to the left, the residual comes from.",
         )
+    elif predicted := _predicted(cases, names):
+        yield picture(
+            f"{disturbance}-spectrum",
+            "Spectrum of the line of sight, and how its rms adds up",
+            spectra(predicted, "What |S|² leaves of the line of sight", unit),
+            f"The motion of {counted(min(cases.sizes['case'], _MOST), 'case')} without a loop, both axes, at "
+            "all instants that loops see, of which the store keeps too few; and times |S|² of each linear "
+            "controller alone, up to half the rate of its commands. Noise is not in it. Below is the rms of "
+            "all that is faster than a frequency.",
+        )
     for key, what, of in (("los", "line of sight", unit), ("wfe", "wavefront", "nm")):
-        heard = _heard(cases, names, f"noise_{key}")
+        heard = heard_of(cases, names, f"noise_{key}")
         if heard and max(one.above[0] for one in heard) > _NOTHING * most[key]:
-            yield picture(
-                f"{disturbance}-noise-{key}",
-                f"What sensor noise does to the {what}",
-                spectra(heard, f"Sensor noise in the {what}", of),
-                "Of each controller alone, exactly: noise of its sensors through regulator and actuator, as "
-                "means over frames. It is a part of what is left.",
-            )
+            yield noise_picture(f"{disturbance}-noise-{key}", what, of, heard)
+
+
+def loops_over_frequency(
+    key: str, curves: Sequence[Curve], gains: str = _GAINS, sensitivity: str = SENSITIVITY
+) -> Iterator[Picture]:
+    """Draw loop gains with their margins, and sensitivities, where there is a linear loop.
+
+    Parameters
+    ----------
+    key : str
+        What their names in a page begin with.
+    curves : sequence of Curve
+    gains, sensitivity : str
+        What is drawn, for those who read it.
+    """
+    if not curves:
+        return
+    words = f"{gains} {_BARS}"
+    yield picture(f"{key}bode", "Loop gain over frequency with its margins", bode(curves), words)
+    yield picture(f"{key}nyquist", "Loop gain in the complex plane", nyquist(curves), NYQUIST)
+    title = "Sensitivity and complementary sensitivity"
+    yield picture(f"{key}rejection", title, sensitivities(curves), sensitivity)
+
+
+def noise_picture(key: str, what: str, unit: str, heard: Sequence[Spectrum], words: str = _HEARD) -> Picture:
+    """Draw what sensor noise does."""
+    figure = spectra(heard, f"Sensor noise in the {what}", unit)
+    return picture(key, f"What sensor noise does to the {what}", figure, words)
 
 
 def curves_of(cases: xr.Dataset, names: Sequence[str]) -> list[Curve]:
@@ -80,13 +111,20 @@ def curves_of(cases: xr.Dataset, names: Sequence[str]) -> list[Curve]:
     found, hertz = [], cases["frequency"].to_numpy()
     for name in names:
         size, phase, rejection, passed, gain_up, margin = (
-            cases[key].sel(controller=name).to_numpy()
+            cases[key].sel(controller=name).transpose("frequency", ..., missing_dims="ignore").to_numpy()
             for key in ("loop_gain", "loop_phase", "rejection", "passed_noise", "gain_up", "phase_margin")
         )
         if np.isfinite(size).any():
-            gain = (size * np.exp(1j * np.radians(phase)))[:, None]
+            gain = locus(size, phase)
             found.append(Curve(name, hertz, gain, rejection, passed, float(gain_up), float(margin)))
     return found
+
+
+def locus(size: Array, phase: Array) -> NDArray[np.complex128]:
+    """Return different eigenvalues (f, m) of sizes and phases, deg, (f,) or (f, margin)."""
+    gain = np.reshape(size * np.exp(1j * np.radians(phase)), (len(size), -1))
+    kept = [k for k in range(gain.shape[1]) if k == 0 or not np.array_equal(gain[:, k], gain[:, 0], True)]
+    return np.asarray(gain[:, kept])
 
 
 def _left(cases: xr.Dataset, models: Mapping[str, str]) -> tuple[list[Spectrum], int]:
@@ -115,7 +153,22 @@ def _left(cases: xr.Dataset, models: Mapping[str, str]) -> tuple[list[Spectrum],
     return [one for one in found if one.above[0] > _EVEN * most], some.sizes["case"]
 
 
-def _heard(cases: xr.Dataset, names: Sequence[str], key: str) -> list[Spectrum]:
+def _predicted(cases: xr.Dataset, names: Sequence[str]) -> list[Spectrum]:
+    """Return the spectra of a motion without a loop that a store keeps, and what |S|^2 leaves of them."""
+    if "open_psd" not in cases:
+        return []
+    hertz, motion = cases["frequency"].to_numpy(), cases["open_psd"].isel(case=slice(0, _MOST))
+    density = motion.mean("case").to_numpy()
+    left = [
+        of_density(name, hertz, density * size**2)
+        for name, size in zip(names, cases["rejection"].sel(controller=list(names)).to_numpy(), strict=True)
+        if np.isfinite(size).any()
+    ]
+    return [of_density("without a loop", hertz, density, calm=True), *left] if left else []
+
+
+def heard_of(cases: xr.Dataset, names: Sequence[str], key: str) -> list[Spectrum]:
+    """Return the spectra of what noise does under some controllers, where there is any."""
     densities = cases[key].sel(controller=list(names)).to_numpy()
     hertz = cases["frequency"].to_numpy()
     return [

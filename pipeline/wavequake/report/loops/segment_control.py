@@ -17,14 +17,11 @@ from rich.table import Table
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
 from wavequake.report.loops.frequency import (
-    NYQUIST,
     Curve,
-    bode,
     logarithmic,
-    nyquist,
-    sensitivities,
     style,
 )
+from wavequake.report.loops.over_frequency import locus, loops_over_frequency, noise_picture
 from wavequake.report.loops.spectra import Spectrum, of_density, spectra
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
@@ -252,18 +249,10 @@ def _over_frequency(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Sec
         return []
     curves = _curves(dataset, loops)
     shown = [
-        picture(
-            "bode",
-            "Loop gain over frequency with its margins",
-            bode(curves),
-            "Of each bandwidth the eigenvalue of the loop gain that is nearest to -1. Bars end where a loop "
-            "would be unstable.",
-        ),
-        picture("nyquist", "Loop gain in the complex plane", nyquist(curves), NYQUIST),
-        picture(
-            "sensitivity",
-            "Sensitivity and complementary sensitivity",
-            sensitivities(curves),
+        *loops_over_frequency(
+            "",
+            curves,
+            "Of each bandwidth the eigenvalues of the loop gain that have the gain and the phase margin.",
             "Largest singular values: |S| is what is left of a motion of the mirror, |T| what comes of the "
             "sensors' noise. Above 1 a loop amplifies.",
         ),
@@ -277,26 +266,19 @@ def _over_frequency(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Sec
         ),
     ]
     if noise := _spectra(dataset, loops, "noise_psd"):
-        shown.append(
-            picture(
-                "noise",
-                "What sensor noise does to the surface",
-                spectra(noise, "Sensor noise in the surface", "nm"),
-                "Noise of all edge sensors through the loop. The faster a loop, the more of it.",
-            )
-        )
+        words = "Noise of all edge sensors through the loop. The faster a loop, the more of it."
+        shown.append(noise_picture("noise", "surface", "nm", noise, words))
     return [Section("Over frequency", shown)]
 
 
 def _curves(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Curve]:
     hertz = dataset["frequency"].to_numpy()
     size, phase, left, passed, gain_up, margin = (
-        dataset[name].to_numpy()
+        dataset[name].transpose("bandwidth", ...).to_numpy()
         for name in ("loop_gain", "loop_phase", "sensitivity", "complementary", "gain_up", "phase_margin")
     )
-    gains = size * np.exp(1j * np.radians(phase))
     return [
-        Curve(f"{one.hertz:g} Hz", hertz, gains[k][:, None], left[k], passed[k], gain_up[k], margin[k])
+        Curve(f"{one.hertz:g} Hz", hertz, locus(size[k], phase[k]), left[k], passed[k], gain_up[k], margin[k])
         for k, one in enumerate(loops)
         if one.stable
     ]

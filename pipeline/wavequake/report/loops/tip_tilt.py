@@ -14,7 +14,9 @@ from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
-from wavequake.report.loops.frequency import NYQUIST, Curve, bode, logarithmic, nyquist, sensitivities, style
+from wavequake.report.loops.frequency import Curve, logarithmic, style
+from wavequake.report.loops.over_frequency import SENSITIVITY, locus, loops_over_frequency, noise_picture
+from wavequake.report.loops.spectra import of_density
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
@@ -159,34 +161,21 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
 
 
 def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> list[Picture]:
-    curves = frequency_curves(dataset, loops)
+    shown = loops_over_frequency(
+        f"{rate:g}-",
+        frequency_curves(dataset, loops),
+        "Curves end at half the rate of frames.",
+        f"{SENSITIVITY} LQG digs notches where it knows lines to be.",
+    )
     return [
-        picture(
-            f"bode-{rate:g}",
-            "Loop gain over frequency with its margins",
-            bode(curves),
-            "Bars end where a loop would be unstable: as a factor of the gain above, in degrees below. "
-            "Curves end at half the rate of frames.",
-        ),
-        picture(
-            f"nyquist-{rate:g}",
-            "Loop gain in the complex plane",
-            nyquist(curves),
-            NYQUIST,
-        ),
-        picture(
-            f"rejection-{rate:g}",
-            "Sensitivity and complementary sensitivity",
-            sensitivities(curves),
-            "|S| is what is left of a motion, |T| what comes of the sensor's noise. Below 1 a loop helps, "
-            "above 1 it amplifies. LQG digs notches where it knows lines to be.",
-        ),
+        *shown,
         picture(
             f"spectrum-{rate:g}",
             "Spectrum of the disturbance, and what is left of it",
             _curves(dataset, loops, "left_psd", "spectrum (mas²/Hz)"),
             "The thick line is the motion without a loop. What the sensor's noise adds is not in it.",
         ),
+        *_heard(dataset, rate, loops),
         picture(
             f"cumulative-{rate:g}",
             "Cumulative residual over frequency",
@@ -195,6 +184,21 @@ def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> 
             "The sensor's noise is counted from the start.",
         ),
     ]
+
+
+def _heard(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> list[Picture]:
+    """Draw what sensor noise does, if a store of this release keeps it and there is any."""
+    if "noise_psd" not in dataset:
+        return []
+    hertz, values = dataset["frequency"].to_numpy(), dataset["noise_psd"].to_numpy()
+    heard = [of_density(one.label, hertz, values[one.row], flat=True) for one in loops]
+    if not any(one.above[0] > 0 for one in heard):
+        return []
+    words = (
+        "Noise of frames through the loop, |T|² of it, up to half the rate of frames. It adds to what is "
+        "left of the disturbance."
+    )
+    return [noise_picture(f"noise-{rate:g}", "line of sight", "mas", heard, words)]
 
 
 def frequency_curves(dataset: xr.Dataset, loops: Sequence[Loop]) -> list[Curve]:
@@ -207,7 +211,7 @@ def frequency_curves(dataset: xr.Dataset, loops: Sequence[Loop]) -> list[Curve]:
         Curve(
             one.label,
             hertz,
-            (size[one.row] * np.exp(1j * np.radians(phase[one.row])))[:, None],
+            locus(size[one.row], phase[one.row]),
             rejection[one.row],
             passed[one.row],
             one.gain_up,

@@ -32,6 +32,7 @@ from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.prepared import prepared
 from wavequake.workflows.lens.bench import bench_of, stage_of, study_of
 from wavequake.workflows.lens.study import STAGE, LensStudy
+from wavequake.workflows.loops.curves import Looked, noise_of
 from wavequake.workflows.loops.loop_margins import Makers, sampled_loop
 
 # Of the image and the stage's positions, and of the lenses, per m.
@@ -138,7 +139,7 @@ def asked_of(study: LensStudy, springs: str, one: Controller) -> Design:
     shaken, seen = _modes(bench_of(study, springs))
     watched = []
     for sensor in sensors:
-        reads, noise = sensor.readings(LIGHT, nominal=True), sensor.noise_rms(LIGHT)
+        reads = sensor.readings(LIGHT, nominal=True)
         if not (len(reads) and reads[:, _THERE].any(axis=1).all()):
             raise UserError(
                 f"sensor.{sensor.name} reads what the lens bench does not have; it has a line of sight and "
@@ -149,7 +150,7 @@ def asked_of(study: LensStudy, springs: str, one: Controller) -> Design:
                 sensor.name,
                 sensor.labels(LIGHT),
                 reads @ _SIGHT * stage.gain,
-                noise / np.sqrt(timing.frames),
+                sensor.noise_rms(LIGHT) / np.sqrt(timing.frames),
                 sensor.dynamics(),
                 reads @ seen,
                 np.zeros((len(reads), 0)),
@@ -221,6 +222,17 @@ def _follow(
     return follow(follower, [plant.stage for plant in plants], step, count)
 
 
+def looked(study: LensStudy, springs: str) -> dict[str, Looked]:
+    """Return every linear controller of a study, each alone, with the nominal stage, and the image in um."""
+    stage = stage_of(study)
+    look = Sight(dynamics_of(stage), _SIGHT[:2])
+    return {
+        one.name: Looked(_sampled(one, stage), look, noise_of(one.sensors, LIGHT, one.timing.frames))
+        for one in _designed(study, springs)
+        if isinstance(one.given, Regulator)
+    }
+
+
 def loops(study: LensStudy) -> Makers:
     """Return every linear controller of a study, each alone, with the nominal stage.
 
@@ -229,12 +241,11 @@ def loops(study: LensStudy) -> Makers:
     UserError
         If there is none.
     """
-    makers, stage = {}, stage_of(study)
+    makers = {}
     for springs in study.bench.springs:
-        for one in _designed(study, springs):
-            if isinstance(one.given, Regulator):
-                name = f"{one.name}, {springs} springs" if len(study.bench.springs) > 1 else one.name
-                makers[name] = partial(sampled_loop, name, _sampled(one, stage))
+        for known, one in looked(study, springs).items():
+            name = f"{known}, {springs} springs" if len(study.bench.springs) > 1 else known
+            makers[name] = partial(sampled_loop, name, one.loop)
     if not makers:
         raise UserError(f"{study.study.name} has no linear [[loop]], so that there are no margins.")
     return makers

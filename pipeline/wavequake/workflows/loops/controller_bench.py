@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from wavequake.control.robustness.plant import Complex, Plant, Truncated, in_units, whole_plant
-from wavequake.control.robustness.residual import open_covariance
+from wavequake.control.robustness.residual import open_covariance, shown_forces
 from wavequake.errors import UserError
 from wavequake.mechanics.mirrors.models import (
     AnnularMirror,
@@ -61,6 +61,8 @@ class Bench:
         rms without a controller, m.
     hertz : ndarray, shape (f,)
         Frequencies of curves, some about each mode up to twice the last that errors are looked at.
+    forces : ndarray of complex, shape (f, p, p)
+        What forces of these frequencies do to the wavefront, see `shown_forces`.
     """
 
     study: ControllerStudy
@@ -72,6 +74,7 @@ class Bench:
     figure_gram: Array
     open_wavefront: float
     hertz: Array
+    forces: Complex
 
     @property
     def time_unit(self) -> float:
@@ -133,7 +136,8 @@ def bench_of(study: ControllerStudy) -> Bench:
     gram, figure = wavefront_grams(model, heights)
     open_wavefront = float(np.sqrt(np.sum(gram * open_covariance(plant))))
     shapes, hertz = kept["shapes"][:, :COMPARED], _shown(study, plant)
-    return Bench(study, full, sensors, plant, shapes, gram, figure, open_wavefront, hertz)
+    forces = shown_forces(plant, gram, 2 * np.pi * hertz * time_unit(study))
+    return Bench(study, full, sensors, plant, shapes, gram, figure, open_wavefront, hertz, forces)
 
 
 def reduced(bench: Bench, name: str) -> ReducedModel:

@@ -21,7 +21,7 @@ from wavequake.control.linear import in_units as model_in_units
 from wavequake.control.robustness.feedback import Loop, Pole, closed_poles, lqg, refined_pole
 from wavequake.control.robustness.margins import curves, grid, margins, truncation_share
 from wavequake.control.robustness.plant import Plant, in_units, linear, transfer
-from wavequake.control.robustness.residual import closed_covariance
+from wavequake.control.robustness.residual import closed_covariance, closed_spectra, open_spectrum
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Integers
 from wavequake.reduction.metrics import eps_mor, mac
@@ -167,19 +167,23 @@ def _closed_loop(bench: Bench, loop: Loop, known: Mapping[str, Any], effort: flo
         **_spill_over(bench, worst, known["mode_shift"], stable),
         **(_robustness(bench, loop, omega) if stable else dict.fromkeys(_ROBUSTNESS, np.nan)),
         **_residual(bench, loop, effort, stable),
-        **_curves(bench, loop, stable),
+        **_curves(bench, loop, effort, stable),
     }
 
 
-def _curves(bench: Bench, loop: Loop, stable: bool) -> Numbers:
-    """Return the loop over frequency; an unstable one has no sensitivity."""
-    loci, rejected, rest = curves(loop, 2 * np.pi * bench.hertz * bench.time_unit)
+def _curves(bench: Bench, loop: Loop, effort: float, stable: bool) -> Numbers:
+    """Return the loop over frequency; an unstable one has no sensitivity, and no spectrum."""
+    omega = 2 * np.pi * bench.hertz * bench.time_unit
+    loci, rejected, rest = curves(loop, omega)
     none = np.full(len(bench.hertz), np.nan)
+    left, heard = closed_spectra(loop, bench.forces, effort, omega) if stable else (none, none)
     return {
         "loop_gain": np.abs(loci),
         "loop_phase": np.degrees(np.angle(loci)),
         "sensitivity": rejected if stable else none,
         "complementary": rest if stable else none,
+        "left_psd": _NM**2 * bench.time_unit * left,
+        "noise_psd": _NM**2 * bench.time_unit * heard,
     }
 
 
@@ -306,6 +310,8 @@ def measures(bench: Bench) -> Iterable[Measure]:
         stored("loop_phase", "deg", "phases of the eigenvalues of the loop gain", ("frequency", "channel")),
         stored("sensitivity", "1", "largest singular value of S = (I + G H)^-1", ("frequency",)),
         stored("complementary", "1", "largest singular value of T = I - S", ("frequency",)),
+        stored("left_psd", "nm^2/Hz", "wavefront that is left of the forces, one-sided", ("frequency",)),
+        stored("noise_psd", "nm^2/Hz", "wavefront by sensor noise, one-sided", ("frequency",)),
     )
 
 
@@ -321,9 +327,12 @@ def axes(bench: Bench) -> Mapping[str, Axis]:
 
 
 def fixed(bench: Bench) -> dict[str, Any]:
-    """Return frequency and damping ratio of the full model's modes."""
+    """Return frequency and damping ratio of the full model's modes, and its spectrum without a controller."""
     count = bench.shapes.shape[1]
+    open_psd = _NM**2 * bench.time_unit * open_spectrum(bench.forces)
+    words = {"units": "nm^2/Hz", "long_name": "wavefront by the forces without a controller, one-sided"}
     return {
+        "open_psd": (("frequency",), open_psd, words),
         "mode_hz": (("mode",), bench_frequencies(bench)[:count], {"units": "Hz", "long_name": "frequency"}),
         "mode_zeta": (("mode",), _zeta(bench)[:count], {"units": "1", "long_name": "damping ratio"}),
     }

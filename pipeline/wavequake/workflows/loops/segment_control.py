@@ -29,6 +29,7 @@ from wavequake.mechanics.model import Integers
 from wavequake.mechanics.segment_control import SensingErrors, mode_interaction
 from wavequake.prepared import one_thread
 from wavequake.words import counted
+from wavequake.workflows.loops.curves import curve_axes, phases
 from wavequake.workflows.loops.loop_margins import LoopMargins, Makers, StudyLoop, converted
 from wavequake.workflows.loops.segment_control_bench import (
     Bench,
@@ -43,7 +44,6 @@ from wavequake.workflows.loops.segment_control_study import SegmentControlStudy
 
 # Gains that are tried for the limit of a mirror with errors, as shares of the nominal one, and halvings.
 _TRIED, _HALVINGS = (0.02, 0.1, 0.3, 0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0), 7
-_STILL = 1e-6  # deg
 
 
 def cases(study: SegmentControlStudy, ids: Integers) -> CaseTable:
@@ -190,13 +190,12 @@ def _over_frequency(bench: Bench) -> dict[str, Any]:
     """Return curves and spectra of the nominal loops, and margins as these frequencies show them."""
     loops, hertz = bench.loops, ("bandwidth", "frequency")
     gains = np.array([one.curve.gain for one in loops])
-    phases = np.degrees(np.angle(gains))
-    # At half the rate a loop gain is real: rounding chooses between -180 and 180 deg.
-    phases = np.where(phases < -180.0 + _STILL, phases + 360.0, phases)
     surface = "nm^2/Hz"
     found = {
-        "loop_gain": (hertz, np.abs(gains), "1", "size of the loop gain's eigenvalue nearest to -1"),
-        "loop_phase": (hertz, phases, "deg", "its phase"),
+        "loop_gain": (
+            (*hertz, "margin"), np.abs(gains), "1", "size of the loop gain's eigenvalue that has the margin"
+        ),
+        "loop_phase": ((*hertz, "margin"), phases(gains), "deg", "its phase"),
         "complementary": (
             hertz, np.array([one.complementary for one in loops]),
             "1", "largest singular value of the complementary sensitivity",
@@ -228,7 +227,7 @@ def axes(bench: Bench) -> Mapping[str, Axis]:
     """Return bandwidths, modes and frequencies."""
     return {
         "bandwidth": Axis(np.array(bench.study.control.bandwidths_hz), "bandwidth", "Hz"),
-        "frequency": Axis(bench.hertz, "frequency", "Hz"),
+        **curve_axes(bench.hertz),
         "structure_mode": Axis([one.name for one in bench.study.mode], "mode of the structure"),
         "mirror_mode": Axis(
             np.arange(1, len(bench.modes.singular) + 1), "mode of the mirror, the least seen first"

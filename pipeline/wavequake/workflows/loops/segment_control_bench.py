@@ -263,7 +263,7 @@ def _left(
     if growth >= 0:
         nan = np.nan
         nothing, unknown = np.full(len(study.mode), nan), np.full(len(hertz), nan)
-        none = LoopCurve(unknown + 0j, unknown, unknown, nan, nan)
+        none = LoopCurve(np.full((len(hertz), 2), nan + 0j), unknown, unknown, nan, nan)
         curves = unknown, unknown, none, unknown, unknown
         return Left(found, growth, growth_hz, nan, nan, nothing, nan, nan, nan, *curves)
     grid = frequency_grid(found)

@@ -7,7 +7,6 @@ field point and wavelength, as ``system-disturbance`` does, and imaged.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ from wavequake.control.sampled.stability import SampledLoop
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import ElementMotion, add_elements
-from wavequake.workflows.loops.curves import curves, frequencies
+from wavequake.workflows.loops.curves import curve_axes, curves, shown, spectrum
 from wavequake.workflows.loops.loop_margins import Makers, linear_loops
 from wavequake.workflows.loops.pushing import pushing_notices
 from wavequake.workflows.loops.system_light import SystemOptics, drawn_at, moved, optics_of, seen_of
@@ -63,7 +62,12 @@ def bench_of(study: SystemLoopStudy) -> Bench:
     """
     optics = optics_of(study)
     looks = [one.seen[one.looks] for one in optics.times if one is not None]
-    seen = partial(seen_of, optics, realization=0)
+
+    def seen(index: int) -> tuple[Array, Array]:
+        times = optics.times[index]
+        assert times is not None
+        return times.seen, seen_of(optics, index, 0)
+
     return Bench(
         study, optics, *judged_loops(study, study.study.name, optics, study.disturbance, looks, seen)
     )
@@ -114,7 +118,9 @@ def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[
             values |= seen(imager.camera, values["exposure"], noise)
         numbers.append(values | _linear(optics, values, linear) | {"limited": limited, "largest": largest})
     time = numbers[0].pop("time_s")
-    return {name: np.stack([one[name] for one in numbers]) for name in numbers[0]} | {"time_s": time}, ""
+    sight = disturbance[:, :2] * (_UM * optics.mm)
+    of_case = {"time_s": time, "open_psd": spectrum(times.seen, sight, shown(study))}
+    return {name: np.stack([one[name] for one in numbers]) for name in numbers[0]} | of_case, ""
 
 
 def motion_left(bench: Bench, one: Designed, case: int) -> ElementMotion:
@@ -177,6 +183,7 @@ def _linear(optics: SystemOptics, traced: Mapping[str, Array], linear: Array) ->
     }
 
 
+_UM = 1e3  # per mm
 _OWN = (
     ("limited", "1", "share of the actuator channels' commands that stroke or slew limited"),
     ("largest", "1", "largest position of an actuator, in its unit"),
@@ -198,6 +205,8 @@ def measures(bench: Bench) -> Iterator[Measure]:
             yield replace(one, dims=("controller", *one.dims))
     for name, units, words in _OWN:
         yield stored(name, units, words, ("controller",))
+    words = "line of sight without a loop, both axes, at all instants that loops see, first field point"
+    yield stored("open_psd", "um^2/Hz", words, ("frequency",))
 
 
 def axes(bench: Bench) -> dict[str, Axis]:
@@ -206,7 +215,7 @@ def axes(bench: Bench) -> dict[str, Axis]:
     return {
         "controller": Axis(names, "what is done about the disturbance"),
         **system_axes(bench.optics.bench),
-        "frequency": frequencies(bench.study.sensor),
+        **curve_axes(shown(bench.study)),
     }
 
 
@@ -216,7 +225,7 @@ def fixed(bench: Bench) -> dict[str, Fixed]:
     return {
         **system_disturbance.fixed_of(bench.optics.bench),
         "loop_wavelength_nm": ((), np.array(bench.optics.light.wavelength_nm), words),
-        **curves(bench.study, bench.optics, bench.linear, "um", 1e3 * bench.optics.mm),
+        **curves(bench.study, bench.optics, bench.linear, "um", _UM * bench.optics.mm),
     }
 
 

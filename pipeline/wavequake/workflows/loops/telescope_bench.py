@@ -48,8 +48,9 @@ def bench_of(study: TelescopeLoopStudy) -> Bench:
             drawn(study, optics, index, 0)  # what no case can do is said before a run
     looks = [time[1:] for time in optics.times]
 
-    def seen(index: int) -> Array:
-        return seen_of(study, optics, drawn(study, optics, index, 0))
+    def seen(index: int) -> tuple[Array, Array]:
+        case = drawn(study, optics, index, 0)
+        return case.time, seen_of(study, optics, case)
 
     return Bench(
         study, optics, *judged_loops(study, study.study.name, optics, study.disturbance, looks, seen)

@@ -41,7 +41,7 @@ from wavequake.workflows.exposures.telescope_control import (
     trace,
 )
 from wavequake.workflows.exposures.telescope_exposure import lit_object_of
-from wavequake.workflows.loops.curves import curves, frequencies
+from wavequake.workflows.loops.curves import curve_axes, curves, shown
 from wavequake.workflows.loops.telescope_bench import Bench, bench_of
 from wavequake.workflows.loops.telescope_light import drawn, optics_of, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
@@ -267,7 +267,7 @@ def axes(bench: Bench) -> Mapping[str, Axis]:
         "controller": Axis(names, "what is done about the disturbance"),
         "time": Axis(instants),
         "axis": Axis(["x", "y"], "axis of the image plane"),
-        "frequency": frequencies(study.sensor),
+        **curve_axes(shown(study)),
     }
     if not study.look.traced:
         return found

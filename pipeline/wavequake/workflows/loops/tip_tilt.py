@@ -208,6 +208,7 @@ def _loop(
         "passed_noise": np.abs(around / (1 + around)),
         "loop_gain": np.abs(around),
         "loop_phase": np.degrees(np.angle(around)),
+        "noise_psd": white * _noise_passed(controller, frame, hertz),
     }
     return Loop(
         name,
@@ -334,6 +335,7 @@ def measures(bench: Bench) -> Iterable[Measure]:
         ("loop_phase", "deg", "phase of the loop gain", ("frequency",)),
         ("passed_noise", "1", "complementary sensitivity of frame means, |T|", ("frequency",)),
         ("left_psd", "mas^2/Hz", "what is left of the disturbance's spectrum", ("frequency",)),
+        ("noise_psd", "mas^2/Hz", "what the sensor's noise adds to that, by frame means", ("frequency",)),
         ("rejection", "1", "what is left of frame means at a frequency, |S|", ("frequency",)),
         ("cumulative", "mas", "rms of what is left below a frequency, noise from the start", ("frequency",)),
     ):
