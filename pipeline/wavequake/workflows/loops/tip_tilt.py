@@ -316,8 +316,7 @@ def frame_means(bands: Bands, frame: float, count: int, random: np.random.Genera
     starts = np.arange(-(-count // _BLOCK))[:, None] * _BLOCK + 0.5
     slow = np.exp(2j * np.pi * frame * starts * hertz) * (cosine - 1j * sine)
     fast = np.exp(2j * np.pi * frame * np.arange(_BLOCK) * hertz[:, None])
-    found: Array = (slow @ fast).real.ravel()[:count]
-    return found
+    return np.asarray((slow @ fast).real.ravel()[:count])
 
 
 def measures(bench: Bench) -> Iterable[Measure]:
