@@ -1,6 +1,9 @@
 """Settings that every test shares."""
 
+import fcntl
+import gc
 import os
+import shutil
 import signal
 import sys
 from contextlib import contextmanager, nullcontext, suppress
@@ -47,6 +50,12 @@ def pytest_collection_modifyitems(items):
     """Begin with the longest files, where files are dealt to processes in their order."""
     places = {name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.path.name, len(LONGEST)))
+
+
+def pytest_collection_finish():
+    """Look for garbage in what tests make, not again and again in all of them and their modules."""
+    gc.collect()
+    gc.freeze()
 
 
 @contextmanager
@@ -119,6 +128,38 @@ def mirror_models(shared_folder):
         folder = shared_folder / "mirror-models"
         patch.setattr(model_store, "model_folder", lambda: folder)
         yield
+
+
+@pytest.fixture(scope="session")
+def kept_stores(tmp_path_factory, shared_folder):
+    """Return the small study of a kind, and its store under some keys of `store`, as functions.
+
+    Whichever process asks first runs the campaign; each has a copy of its own, into which it may report.
+    """
+    from small_kinds import small_study  # after the threads of NumPy are set
+
+    from wavequake.workflows.run import run_study
+    from wavequake.workflows.study import study_with
+
+    folder, shared = tmp_path_factory.mktemp("kept"), shared_folder / "kept-stores"
+    shared.mkdir(exist_ok=True)
+
+    def study_of(name):
+        return small_study(name, folder)
+
+    def store_of(name, **keys):
+        label = "-".join([name, *map(str, keys.values())])
+        with (shared / f"{label}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (shared / label).exists():
+                chosen = {f"store.{key}": value for key, value in keys.items()}
+                run_study(study_with(study_of(name), chosen), shared / f"{label}.part", on="serial")
+                (shared / f"{label}.part").rename(shared / label)
+        if not (folder / label).exists():
+            shutil.copytree(shared / label, folder / label)
+        return folder / label
+
+    return study_of, store_of
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_pistons import STUDY
 
 import wavequake as wq
 from wavequake import terminal
@@ -17,23 +18,6 @@ from wavequake.commands import stores
 from wavequake.kernels.device import opencl
 from wavequake.workflows.run import finished_study
 from wavequake.workflows.study import load_study
-
-STUDY = """
-[study]
-name = "tiny"
-workflow = "segment-disturbance"
-[telescope]
-name = "tmt-18"
-[imaging]
-pixels = 16
-[store]
-chunk_cases = 4
-[[disturbance]]
-name = "pistons"
-model = "static-random"
-piston_nm = 20.0
-instants = 2
-"""
 
 
 @pytest.fixture

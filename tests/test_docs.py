@@ -16,6 +16,7 @@ import pytest
 from benchmarks.measured import named_tests
 
 import wavequake as wq
+from wavequake import cli
 from wavequake.workflows.run import kind_of
 from wavequake.workflows.study import load_study
 
@@ -72,7 +73,13 @@ def follow(command, wavequake):
     assert code == 0, (command, complained)
 
 
-@pytest.mark.usefixtures("undrawn")  # reports of every kind are drawn in tests of report and viewer
+@pytest.fixture
+def hasty(monkeypatch):
+    """Let `plan` try first cases for a second; it has six."""
+    monkeypatch.setattr(cli, "_PLAN_S", 1.0)
+
+
+@pytest.mark.usefixtures("hasty", "undrawn")  # reports of every kind are drawn in tests of report and viewer
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
 def test_commands_run(page, tmp_path, monkeypatch, wavequake):
     """The commands of a page, in order, in one folder."""
@@ -81,6 +88,7 @@ def test_commands_run(page, tmp_path, monkeypatch, wavequake):
         follow(command, wavequake)
 
 
+@pytest.mark.usefixtures("hasty", "undrawn")  # of reports; what tutorials draw themselves is
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_tutorials_run(page, tmp_path, monkeypatch, wavequake):
     """Commands and snippets of a tutorial in order; they write the pictures that it shows."""
@@ -133,6 +141,7 @@ class Targets(HTMLParser):
         self.found += [value for name, value in attrs if name in ("href", "src") and value]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_site_builds_without_a_warning_and_its_links_lead_somewhere(tmp_path, monkeypatch):
     """As `make docs` does, with one short tutorial and two studies in the gallery."""
     pytest.importorskip("sphinx", reason="needs: pip install -e '.[docs]'")

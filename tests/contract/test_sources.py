@@ -6,6 +6,7 @@ import creaking_source
 import numpy as np
 import pytest
 from creaking_source import Creaking
+from small_bodies import SPRINGS
 
 import wavequake as wq
 from wavequake.campaign import plugins
@@ -40,16 +41,7 @@ surfaces = ["CARRIED"]
 [body.rigid]
 mass_kg = 1.0
 inertia_kg_m2 = [1e-3, 1e-3, 1e-3]
-[[link]]
-name = "feet"
-kind = "springs"
-joins = [["stand", "ground.a"], ["stand", "ground.b"], ["stand", "ground.c"]]
-stiffness_n_m = 1e5
-[structure.ground_mm]
-a = [50.0, 0.0, 0.0]
-b = [-50.0, 0.0, 0.0]
-c = [0.0, 50.0, 0.0]
-"""
+""" + SPRINGS.replace("BODY", "stand")
 SEGMENTS = """
 [study]
 name = "creaking"

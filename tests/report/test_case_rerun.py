@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import small_pistons
 import xarray as xr
 
 from wavequake import cli
@@ -14,27 +15,16 @@ from wavequake.workflows import kinds
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.run import run
 
-STUDY = """
-[study]
-name = "tiny"
-workflow = "segment-disturbance"
-[telescope]
-name = "tmt-18"
-[imaging]
-pixels = 16
-[store]
-chunk_cases = 4
-[[disturbance]]
-name = "pistons"
-model = "static-random"
-piston_nm = 20.0
-instants = 2
+STUDY = (
+    small_pistons.STUDY
+    + """
 [[disturbance]]
 name = "one"
 model = "static-random"
 piston_nm = 10.0
 instants = 1
 """
+)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.recorded_studies import EXPOSED as EXPOSED_MIRROR
 
 import wavequake as wq
 from wavequake.campaign.store.store import read_manifest
@@ -26,17 +27,6 @@ EXPOSED = {
     "disturbance.history.instants": 6,
     "campaign.cases": 1,
     "campaign.device": "numpy",
-}
-MIRROR = {
-    "model.rings": 2,
-    "reduction.reference": "craigb36",
-    "reduction.variants": ["krylov36(150)"],
-    "imaging.pixels": 24,
-    "imaging.pupil_samples": 48,
-    "imaging.instants": 5,
-    "optics.rays": 200,
-    "optics.zernike_terms": 21,
-    "time.duration_s": 0.005,
 }
 SEGMENT = {
     "telescope.name": "tmt-18",
@@ -154,7 +144,7 @@ def test_cells_show_the_nearest_point_and_nothing_beyond():
 
 
 def test_a_mirrors_exposure_is_the_mean_of_its_images(tmp_path):
-    stored, found = film(tmp_path, "mirror-exposure", MIRROR, [1])
+    stored, found = film(tmp_path, "mirror-exposure", EXPOSED_MIRROR, [1])
     take = taken(found, "one300")
     one = stored.sel(case=1, excitation="one300")
     instants = np.linspace(0, len(take.time) - 1, 5).round().astype(int)

@@ -39,6 +39,19 @@ stiffness_n_m = {stiffness}
 {ground}"""
 
 
+# Three springs from a body to the ground about its axis.
+SPRINGS = """[[link]]
+name = "feet"
+kind = "springs"
+joins = [["BODY", "ground.a"], ["BODY", "ground.b"], ["BODY", "ground.c"]]
+stiffness_n_m = 1e5
+[structure.ground_mm]
+a = [50.0, 0.0, 0.0]
+b = [-50.0, 0.0, 0.0]
+c = [0.0, 50.0, 0.0]
+"""
+
+
 # A parabola of 1 m focal length; the image, a meter before it, on a camera that is welded to the cell.
 OPTICS = """
 [study]

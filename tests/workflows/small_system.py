@@ -1,5 +1,23 @@
-"""A small Cassegrain that is shaken, and loops that steer its M2."""
+"""A parabola of 1 m; a small Cassegrain that is shaken, and loops that steer its M2."""
 
+PARABOLA = """
+[study]
+name = "parabola"
+workflow = "system-disturbance"
+[system]
+entrance_diameter_mm = 100.0
+fields_arcmin = [[0.0, 0.0], [3.0, 0.0]]
+wavelengths_nm = [500.0, 1000.0]
+[[system.surface]]
+name = "mirror"
+radius_mm = -2000.0
+conic = -1.0
+glass = "mirror"
+stop = true
+[[system.surface]]
+name = "image"
+distance_mm = 1000.0
+"""
 SYSTEM = """
 [system]
 name = "cassegrain"

@@ -1,6 +1,16 @@
-"""A study of eighteen segments: five populations, small images."""
+"""A study of eighteen segments: five populations, small images; and its first dozen cases."""
 
-STUDY = """
+import numpy as np
+import pytest
+
+from wavequake.kernels.device.devices import list_devices
+from wavequake.workflows.segments import disturbance
+from wavequake.workflows.study import load_study
+
+OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
+DEVICE = OPENCL[0] if OPENCL else "numpy"
+
+HEAD = """
 [study]
 name = "small"
 workflow = "segment-disturbance"
@@ -8,7 +18,21 @@ seed = 7
 [telescope]
 name = "tmt-18"
 gap_mm = 20.0
+"""
+# Without images, traced by few rays.
+TRACED = (
+    HEAD
+    + """[optics]
+rays_per_segment = 6
+[wavefront]
+zernike_terms = 21
 [imaging]
+enabled = false
+"""
+)
+STUDY = (
+    HEAD
+    + """[imaging]
 pixels = 32
 [[disturbance]]
 name = "pistons"
@@ -41,3 +65,26 @@ model = "combine"
 of = ["pistons", "figure"]
 instants = 2
 """
+)
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "small.toml"
+    path.write_text(STUDY)
+    return load_study(path)
+
+
+@pytest.fixture(scope="module")
+def text(study):
+    return study.identity_text()
+
+
+@pytest.fixture(scope="module")
+def chunk(text):
+    return disturbance.compute(text, np.arange(12), DEVICE)
+
+
+def only_pistons(study):
+    """The study without figures, so that its images are polygon transforms."""
+    return study.model_copy(update={"disturbance": study.disturbance[:1]})

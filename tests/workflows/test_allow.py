@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
+from small_telescope import TRACED
 
 import wavequake as wq
 from wavequake.campaign.rare.quadratic import largest_factor, quadratic_form
@@ -13,21 +14,9 @@ from wavequake.report.answers.allow import allow_notes, goal_of, write_allowance
 from wavequake.workflows.allow import allowances
 from wavequake.workflows.study import load_study, study_with
 
-STUDY = """
-[study]
-name = "small"
-workflow = "segment-disturbance"
-seed = 7
-[telescope]
-name = "tmt-18"
-gap_mm = 20.0
-[optics]
-rays_per_segment = 6
-[wavefront]
-zernike_terms = 21
-[imaging]
-enabled = false
-[[disturbance]]
+STUDY = (
+    TRACED
+    + """[[disturbance]]
 name = "aligned"
 model = "static-random"
 piston_nm = 20.0
@@ -36,6 +25,7 @@ tilt_nrad = 5.0
 figure_nm = { 4 = 5.0 }
 instants = 2
 """
+)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 from scipy.stats import binom
+from small_telescope import TRACED
 
 import wavequake as wq
 from wavequake.campaign.rare.certificate import estimated
@@ -20,21 +21,9 @@ from wavequake.workflows.rare import modal_answer, rare_study
 from wavequake.workflows.segments.rare import rare_cases
 from wavequake.workflows.study import load_study, study_with
 
-STUDY = """
-[study]
-name = "small"
-workflow = "segment-disturbance"
-seed = 7
-[telescope]
-name = "tmt-18"
-gap_mm = 20.0
-[optics]
-rays_per_segment = 6
-[wavefront]
-zernike_terms = 21
-[imaging]
-enabled = false
-[[disturbance]]
+STUDY = (
+    TRACED
+    + """[[disturbance]]
 name = "swing"
 model = "common-history"
 instants = 4
@@ -72,6 +61,7 @@ of = ["swing", "aligned"]
 instants = 4
 share = 0
 """
+)
 
 
 @pytest.fixture(scope="module")

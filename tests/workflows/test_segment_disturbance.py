@@ -1,12 +1,13 @@
 """The workflow as a whole, on the 18-segment telescope: what is drawn must come out of the optics."""
+# ruff: noqa: F811  fixtures are arguments
 
 import numpy as np
 import pytest
-from small_telescope import STUDY
+from small_telescope import DEVICE, chunk, only_pistons, study, text  # noqa: F401
 
 from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import choose_device, list_devices
+from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNoise
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.prepared import trace_states
@@ -14,32 +15,7 @@ from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import energy_scale, image_axis
 from wavequake.workflows.segments.launches import slot, surface_states
-from wavequake.workflows.study import load_study, study_with
-
-OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
-DEVICE = OPENCL[0] if OPENCL else "numpy"
-
-
-def only_pistons(study):
-    """The study without figures, so that its images are polygon transforms."""
-    return study.model_copy(update={"disturbance": study.disturbance[:1]})
-
-
-@pytest.fixture(scope="module")
-def study(tmp_path_factory):
-    path = tmp_path_factory.mktemp("study") / "small.toml"
-    path.write_text(STUDY)
-    return load_study(path)
-
-
-@pytest.fixture(scope="module")
-def text(study):
-    return study.identity_text()
-
-
-@pytest.fixture(scope="module")
-def chunk(text):
-    return workflow.compute(text, np.arange(12), DEVICE)
+from wavequake.workflows.study import study_with
 
 
 def rows(text, name, count=12):

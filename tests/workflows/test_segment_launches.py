@@ -1,42 +1,17 @@
 """Where cases of segments are cut, on which device and by how many threads they are computed: bits stay."""
+# ruff: noqa: F811  fixtures are arguments
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_telescope import STUDY
+from small_telescope import DEVICE, OPENCL, chunk, only_pistons, study, text  # noqa: F401
 from threadpoolctl import threadpool_limits
 
-from wavequake.kernels.device.devices import list_devices
 from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments import launches
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study, study_with
-
-OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
-DEVICE = OPENCL[0] if OPENCL else "numpy"
-
-
-def only_pistons(study):
-    """The study without figures, so that its images are polygon transforms."""
-    return study.model_copy(update={"disturbance": study.disturbance[:1]})
-
-
-@pytest.fixture(scope="module")
-def study(tmp_path_factory):
-    path = tmp_path_factory.mktemp("study") / "small.toml"
-    path.write_text(STUDY)
-    return load_study(path)
-
-
-@pytest.fixture(scope="module")
-def text(study):
-    return study.identity_text()
-
-
-@pytest.fixture(scope="module")
-def chunk(text):
-    return workflow.compute(text, np.arange(12), DEVICE)
 
 
 def test_a_case_alone_has_the_bits_that_it_has_in_a_chunk(text, chunk):

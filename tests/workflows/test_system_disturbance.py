@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_system import PARABOLA
 
 import wavequake as wq
 from wavequake.campaign.contract import DONE, RAISED
@@ -14,25 +15,9 @@ from wavequake.workflows.systems.bench import failure, system_bench
 from wavequake.workflows.systems.disturbance import KIND, draw
 
 # A parabola of 1 m focal length and 50 mm radius: f/10, so that slopes are small.
-STUDY = """
-[study]
-name = "parabola"
-workflow = "system-disturbance"
-[system]
-entrance_diameter_mm = 100.0
-fields_arcmin = [[0.0, 0.0], [3.0, 0.0]]
-wavelengths_nm = [500.0, 1000.0]
-[[system.surface]]
-name = "mirror"
-radius_mm = -2000.0
-conic = -1.0
-glass = "mirror"
-semi_diameter_mm = 55.0
-stop = true
-[[system.surface]]
-name = "image"
-distance_mm = 1000.0
-[[body]]
+STUDY = (
+    PARABOLA.replace("stop", "semi_diameter_mm = 55.0\nstop")
+    + """[[body]]
 name = "all"
 surfaces = ["mirror", "image"]
 [optics]
@@ -62,6 +47,7 @@ model = "line-of-sight"
 rms_mas = 50.0
 instants = 3
 """
+)
 
 # Coma of a field angle w is W = w a (a / f)^2 / 4 rho^3 cos(theta); a plane fits it best with 2/3 of that.
 TILT_OF_COMA = (50.0 / 1000.0) ** 2 / 4 * 2 / 3

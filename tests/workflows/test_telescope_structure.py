@@ -10,6 +10,7 @@ from small_bodies import (
     OPTICS,
     RIGID,
     SLOW,
+    SPRINGS,
     WELD,
     Z_FORCE,
     amplitude,
@@ -214,16 +215,7 @@ surfaces = ["surface 10", "surface 11"]
 mass_kg = 1.0
 inertia_kg_m2 = [1e-3, 1e-3, 1e-3]
 center_mm = [3.0, 40.0, 90.0]
-[[link]]
-name = "feet"
-kind = "springs"
-joins = [["L4", "ground.a"], ["L4", "ground.b"], ["L4", "ground.c"]]
-stiffness_n_m = 1e5
-[structure.ground_mm]
-a = [50.0, 0.0, 0.0]
-b = [-50.0, 0.0, 0.0]
-c = [0.0, 50.0, 0.0]
-"""
+""" + SPRINGS.replace("BODY", "L4")
 
 
 @pytest.mark.parametrize(

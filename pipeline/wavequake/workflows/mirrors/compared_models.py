@@ -1,12 +1,13 @@
 """Reduced models that stand beside the full one as cases, and how far they are from it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from wavequake.campaign.contract import Fixed
+from wavequake.campaign.measures import Measure, stored
 from wavequake.campaign.schema import Section
 from wavequake.errors import UserError
 from wavequake.reduction.names import parse
@@ -94,6 +95,16 @@ def model_errors(
 def rms_of(values: Array) -> Array:
     """Return the rms over instants (first axis) of vectors (last axis)."""
     return np.asarray(np.sqrt(np.mean(np.sum(values**2, axis=-1), axis=0)))
+
+
+def reduction_measures(place: str) -> Iterator[Measure]:
+    """Yield what stores of reduced models hold of each: its size, and its receptance at a `place`."""
+    yield stored("order", "1", "number of coordinates of the variant")
+    yield stored("reduce_seconds", "s", "time of the reduction", measured=True)
+    yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
+    spectrum = ("frequency",)
+    yield stored("frf_mech", "m/N", f"Frobenius norm of the receptance at the {place}", spectrum)
+    yield stored("eps_mech", "1", "relative error of the receptance (Störkle 2018, Eq. 2.10)", spectrum)
 
 
 def checked_models(names: Sequence[str], checks: Sequence[tuple[Array, Array]]) -> dict[str, Fixed]:

@@ -43,7 +43,7 @@ from wavequake.workflows.mirrors.bench import (
     time_of,
     variant_of,
 )
-from wavequake.workflows.mirrors.compared_models import checked_models
+from wavequake.workflows.mirrors.compared_models import checked_models, reduction_measures
 from wavequake.workflows.mirrors.optics import Optics, figure_rows, mode_residuals, optical_rows
 from wavequake.workflows.mirrors.shapes import (
     MOST_TERMS,
@@ -207,11 +207,7 @@ def template(study_text: str) -> Template:
 
 def _measures() -> Iterator[Measure]:
     history, spectrum = ("excitation", "time"), ("frequency",)
-    yield stored("order", "1", "number of coordinates of the variant")
-    yield stored("reduce_seconds", "s", "time of the reduction", measured=True)
-    yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
-    yield stored("frf_mech", "m/N", "Frobenius norm of the receptance at the interfaces", spectrum)
-    yield stored("eps_mech", "1", "relative error of the receptance (Störkle 2018, Eq. 2.10)", spectrum)
+    yield from reduction_measures("interfaces")
     words = "Frobenius norm of the mechanical-optical response, c_2 and on (Störkle 2018, Eq. 4.23)"
     yield stored("frf_opt", "nm/N", words, spectrum)
     yield stored("eps_opt", "1", "relative error of the mechanical-optical response", spectrum)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from wavequake.campaign.contract import Template
 from wavequake.campaign.measures import Axis, Measure, stored, template_of
 from wavequake.chain.images.camera import frame_axes
-from wavequake.workflows.mirrors.compared_models import checked_models
+from wavequake.workflows.mirrors.compared_models import checked_models, reduction_measures
 from wavequake.workflows.segments.mor_bench import (
     frequencies_of,
     spot_check,
@@ -30,11 +30,7 @@ def template(study_text: str) -> Template:
 
 def _measures() -> Iterator[Measure]:
     history, spectrum = ("excitation", "time"), ("frequency",)
-    yield stored("order", "1", "number of coordinates of the variant")
-    yield stored("reduce_seconds", "s", "time of the reduction", measured=True)
-    yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
-    yield stored("frf_mech", "m/N", "Frobenius norm of the receptance at the supports", spectrum)
-    yield stored("eps_mech", "1", "relative error of the receptance (Störkle 2018, Eq. 2.10)", spectrum)
+    yield from reduction_measures("supports")
     words = "Frobenius norm of the response of the segment's Zernike coefficients, piston and tilt too"
     yield stored("frf_opt", "nm/N", words, spectrum)
     words = "relative error of the response of the segment's Zernike coefficients"

@@ -1,30 +1,16 @@
-"""A small study of every kind: the table that the tests of this folder go through."""
+"""A small study of every kind: the table that the tests of the contract and of pages go through."""
 
 import small_mirrors
 import small_segments
 import small_telescope
+from small_system import PARABOLA
 from tests.recorded import RECORDED
 
 from wavequake.workflows.study import load_study
 
-SYSTEM = """
-[study]
-name = "parabola"
-workflow = "system-disturbance"
-[system]
-entrance_diameter_mm = 100.0
-fields_arcmin = [[0.0, 0.0], [3.0, 0.0]]
-wavelengths_nm = [500.0, 1000.0]
-[[system.surface]]
-name = "mirror"
-radius_mm = -2000.0
-conic = -1.0
-glass = "mirror"
-stop = true
-[[system.surface]]
-name = "image"
-distance_mm = 1000.0
-[optics]
+SYSTEM = (
+    PARABOLA
+    + """[optics]
 rays = 40
 [wavefront]
 zernike_terms = 6
@@ -40,6 +26,7 @@ model = "line-of-sight"
 rms_mas = 50.0
 instants = 3
 """
+)
 MIRROR = {**small_mirrors.TRACE, "time.duration_s": 0.002}
 MOR = {**small_mirrors.MOR, "time.duration_s": 0.002, "reduction.variants": ["craigb18"]}
 EXPOSURE = {
@@ -127,7 +114,11 @@ TIMELESS = {
         None,
     ),
     "tip-tilt-vibration": ("tip-tilt-vibration", RECORDED["tip-tilt-vibration"].keys, 6),
-    "segment-control": ("tmt-m1-control", {"mirror.telescope": "tmt-18"}, 2),
+    "segment-control": (
+        "tmt-m1-control",
+        {"mirror.telescope": "tmt-18", "control.bandwidths_hz": [0.5, 1.0]},
+        2,
+    ),
 }
 KINDS = SMALL | TIMELESS
 
