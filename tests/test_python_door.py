@@ -207,7 +207,8 @@ def test_a_store_is_watched_ranked_and_passed_on(stores, tmp_path):
     each = np.sqrt((wq.open_store(one)["wfe_rms_raw"].to_numpy() ** 2).mean(axis=1))
     assert (row["median"], row["worst"]) == pytest.approx((np.median(each), each.max()))
     assert wq.profile(one)["all chunks"].endswith(" s CPU")
-    wq.compare(*stores, figure=tmp_path / "both.svg")
+    drawn = wq.compare(*stores, figure=tmp_path / "both.svg")
+    assert drawn.equals(wq.compare(*stores))
     assert "<svg" in (tmp_path / "both.svg").read_text()
     with pytest.raises(UserError, match="say --case ID"):
         wq.export(one, tmp_path / "one.zmx")

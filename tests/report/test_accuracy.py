@@ -71,6 +71,8 @@ def test_every_population_and_point_gets_its_cases(tmp_path):
     assert wanted(thrice) == alone
     said = plan_accuracy(thrice, 0.05, "wfe_rms")
     assert said["rays"].startswith("optics.rays_per_segment=18 ")
+    # Steps between segments are no sum of few polynomials, and of 90 terms nothing is measured but this.
+    assert said["terms"].endswith(": 90, which may not suffice: plan that one again")
     few = load_study(tmp_path / "s.toml", {"sweep.optics.rays_per_segment": [6, 18]})
     assert "rays" not in plan_accuracy(few, 0.05, "wfe_rms")
 

@@ -13,6 +13,7 @@ from wavequake.campaign.statistics.refinement import refinement_error
 from wavequake.errors import UserError
 from wavequake.report.answers.errors import open_errors, reduction_errors, spread_ids, store_errors
 from wavequake.report.answers.errors_shown import errors_notes, errors_table, number_errors, with_errors
+from wavequake.report.answers.errors_shown import pictures as errors_pictures
 from wavequake.report.plain import Row
 from wavequake.report.statistics import quantile
 from wavequake.workflows.refinements import refinements
@@ -106,6 +107,20 @@ def test_tables_show_the_errors_that_matter(store):
     assert calm == row
     assert errors_table(found).row_count == 4
     assert any("optics.rays=10; optics.rays=20; optics.rays=40" in line for line in errors_notes(found))
+
+
+def test_what_has_no_error_has_no_row_in_the_figure_and_nothing_no_figure(store):
+    found = store_errors(store, 20).copy(deep=True)
+    assert "tilt</text>" in errors_pictures(found)[0].svg
+    tilt = found["name"].to_numpy() == "tilt"
+    for key in ("error", "sampling"):
+        found[key] = found[key].where(xr.DataArray(~tilt, dims="measure"), np.inf)
+    (one,) = errors_pictures(found)
+    assert "mean</text>" in one.svg
+    assert "tilt</text>" not in one.svg
+    for key in ("error", "sampling"):
+        found[key] = xr.full_like(found[key], np.inf)
+    assert errors_pictures(found) == []
 
 
 def test_a_store_that_cannot_be_written_is_refused_before_anything_is_computed(store, monkeypatch):

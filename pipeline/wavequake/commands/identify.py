@@ -78,10 +78,10 @@ def compare(
         return
     if of is not None or table is not None:
         raise UserError("--of and --output belong to telemetry: wavequake compare STORE DATA.csv.")
-    from wavequake.report.answers.comparison import compare_stores
+    from wavequake.report.answers.comparison import compare_stores, comparison_table
 
-    shown, path = compare_stores(stores, figure)
-    out.print(shown)
+    path = figure or stores[-1] / "comparison.png"
+    out.print(comparison_table(*compare_stores(stores, path)))
     out.print(f"Figure: {path.resolve()}", markup=False, soft_wrap=True)
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wavequake.campaign.schema import Study
-from wavequake.errors import UserError
 from wavequake.notebook import progress_bar
 from wavequake.workflows import run as workflow_run
 
@@ -83,17 +82,12 @@ def compare(first: str | Path, *others: str | Path, figure: str | Path | None = 
     """
     import pandas as pd
 
-    from wavequake.campaign.store.store import open_store
-    from wavequake.report.answers.comparison import compare as differences
     from wavequake.report.answers.comparison import compare_stores
 
-    if not others:
-        raise UserError("compare needs at least two stores.")
-    if figure is not None:
-        compare_stores([Path(first), *map(Path, others)], Path(figure))
-    reference, rows = open_store(first), []
-    for other in others:
-        for one in differences(reference, open_store(other), str(first), str(other)):
+    _, comparisons = compare_stores([first, *others], None if figure is None else Path(figure))
+    rows = []
+    for other, differences in zip(others, comparisons, strict=True):
+        for one in differences:
             known = one.relative[np.isfinite(one.relative)]
             rows.append(
                 {

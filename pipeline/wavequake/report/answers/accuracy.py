@@ -169,7 +169,9 @@ def _refined(
     if one.origin != RAYS or not settled or not orders or one.key != "optics.rays":
         good = [count for count, share in zip(one.counts, worst, strict=True) if share <= accuracy]
         best = int(good[0]) if good and settled else int(one.counts[-1])
-        sure = "" if good and settled else ", which may not suffice"
+        # Two steps say how far they are apart, and not how far the last is from the truth.
+        known = bool(good) and settled and (len(one.counts) > 2 or best < one.counts[-1])
+        sure = "" if known else ", which may not suffice: plan that one again"
         return Proposal(one.origin, f"{setting} errs by {_percent(now)}: {best}{sure}", {one.key: best})
     wanted = one.counts[one.base] * (now / accuracy) ** (1.0 / min(orders))
     if wanted > _MOST_RAYS:

@@ -375,26 +375,28 @@ def _drawn(one: Difference) -> tuple[float, float]:
     return 100 * one.mean / one.first, 100 * one.margin / abs(one.first)
 
 
-def compare_stores(stores: Sequence[Path], figure: Path | None = None) -> tuple[Table, Path]:
-    """Compare stores with the first one, write the figure, and return the table and the figure's path.
+def compare_stores(
+    stores: Sequence[str | Path], figure: Path | None = None
+) -> tuple[list[str], list[list[Difference]]]:
+    """Compare stores with the first one; return their names, and the differences of each other one.
 
-    Without `figure` it goes into the last store. Raises as `compare`.
+    They are drawn into `figure`, if one is given. Raises as `compare`.
     """
     if len(stores) < 2:
         raise UserError("compare needs at least two stores.")
     names = [Path(store).name or str(store) for store in stores]
     if len(set(names)) < len(names):
         names = [str(store) for store in stores]
-    figure = figure or Path(stores[-1]) / "comparison.png"
-    if figure.suffix.lower() not in (".png", ".svg", ".pdf"):
+    if figure and figure.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UserError(f"The figure {figure} must end in .png, .svg or .pdf.")
     first, *others = [open_store(store) for store in stores]
     comparisons = [
         compare(first, other, names[0], name) for other, name in zip(others, names[1:], strict=True)
     ]
     try:
-        comparison_figure(names, comparisons).savefig(figure, dpi=150)
+        if figure:
+            comparison_figure(names, comparisons).savefig(figure, dpi=150)
     except OSError as error:
         reason = os.strerror(error.errno or 0).lower()
         raise UserError(f"{figure} cannot be written ({reason}); choose another with --figure.") from None
-    return comparison_table(names, comparisons), figure
+    return names, comparisons

@@ -121,36 +121,47 @@ def errors_notes(found: "xr.Dataset") -> Iterator[str]:
 
 
 def pictures(found: "xr.Dataset") -> list[Picture]:
-    """Return the figure of the errors of a store."""
+    """Return the figure of the errors of a store; none if nothing is known of any."""
+    largest = _largest_errors(found)
+    if not largest:
+        return []
     return [
         picture(
             "errors",
             "Error of every number, by what it comes from",
-            errors_figure(found),
+            errors_figure(largest),
             "Each dot is the error of a measure by one origin, in percent of its median over cases, the "
             "largest of all populations; the one furthest to the right is worth the next effort.",
         )
     ]
 
 
+def _largest_errors(found: "xr.Dataset") -> dict[str, dict[str, float]]:
+    """Return the largest error of all populations in percent, by measure and origin: what can be drawn."""
+    largest: dict[str, dict[str, float]] = {}
+    for place in range(found.sizes["population"]):
+        for name, one in number_errors(found, place).items():
+            for origin, share in one.shares.items():
+                if np.isfinite(share) and 100.0 * share > _SEEN:
+                    known = largest.setdefault(name, {})
+                    known[origin] = max(known.get(origin, 0.0), 100.0 * share)
+    return largest
+
+
 @rc_context(STYLE)
-def errors_figure(found: "xr.Dataset") -> Figure:
-    """Draw the errors of every measure by their origins, the largest of all populations."""
-    every = [number_errors(found, place) for place in range(found.sizes["population"])]
-    names = list(dict.fromkeys(name for one in every for name in one))
-    origins = [*found["origin"].to_numpy().tolist(), SAMPLING]
+def errors_figure(largest: Mapping[str, Mapping[str, float]]) -> Figure:
+    """Draw errors in percent by measure and origin."""
+    names = list(largest)
+    origins = list(dict.fromkeys(origin for one in largest.values() for origin in one))
+    origins.sort(key=lambda origin: origin == SAMPLING)  # it stands last
     figure = Figure(figsize=(WIDTH, 1.2 + 0.26 * len(names)), layout="constrained")
     axes = figure.subplots()
     for place, origin in enumerate(origins):
-        known = [[one[name].shares.get(origin, 0.0) for one in every if name in one] for name in names]
-        largest = np.array(
-            [100.0 * max((part for part in parts if np.isfinite(part)), default=0.0) for parts in known]
-        )
         style: dict[str, Any] = {"marker": "osDv^<>"[place % 7], "color": COLORS[place % len(COLORS)]}
-        shown = np.where(largest > _SEEN, largest, np.nan)
+        shown = [largest[name].get(origin, np.nan) for name in names]
         axes.plot(shown, np.arange(len(names)), linestyle="none", markersize=5, label=origin, **style)
     axes.set_xscale("log")
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel("error (% of the median)")
     axes.grid(axis="both", color="#dddddd", linewidth=0.6)
