@@ -416,6 +416,13 @@ def test_gratings_bend_light_by_their_order(glass, more, turned, unit, mm):
     np.testing.assert_allclose(found.y[0], y + away * np.cos(turned), rtol=0, atol=1e-11)
 
 
+def test_a_grating_without_an_order_is_refused():
+    words = {"radius": 0.0, "distance": 9.0, "glass": "", "unit": "M", "spacing": 0.01, "more": ""}
+    text = GRATING.format(order=1, **words).replace("GRO 1; ", "")
+    with pytest.raises(UserError, match=r"is a grating without an order \(GRO\)"):
+        read(text)
+
+
 def test_a_grating_on_an_asphere_keeps_its_powers():
     text = GRATING.format(
         radius=50.0, distance=30, glass="N-BK7", unit="M", order=1, spacing=0.01, more="; ASP; A 1e-6"
