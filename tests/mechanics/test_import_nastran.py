@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers import import_model, op4
+from wavequake.mechanics.importers.mesh import read_mesh
 from wavequake.mechanics.vibration.eigen import eigenmodes, mass_normalized_rigid_modes
 
 K, M = tetrahedron.matrices()
@@ -160,3 +161,12 @@ def test_a_punch_file_that_ends_within_a_number_is_cut_off(tmp_path):
     (tmp_path / "truss.pch").write_text(text[: text.rindex("E+")])  # of a coordinate, which is a number still
     with pytest.raises(UserError, match=r"truss\.pch, line .* has no end: the file is cut off"):
         import_model(tmp_path / "truss.op4", **CHOICE)
+
+
+def test_properties_are_numbers(tmp_path):
+    """07 is 7, as a number that a card begins with zeros."""
+    nodes = [f"GRID,{k},,{x},{y},{z}" for k, (x, y, z) in enumerate(np.vstack([np.zeros(3), np.eye(3)]), 1)]
+    rows = [*nodes, "CTETRA,1,07,1,2,3,4", "CTETRA,2,7,1,2,3,4", "CTETRA,3,70,1,2,3,4", "ENDDATA", ""]
+    (tmp_path / "mesh.bdf").write_text("\n".join(rows))
+    found = read_mesh(tmp_path / "mesh.bdf").element_sets
+    assert {name: numbers.tolist() for name, numbers in found.items()} == {"7": [1, 2], "70": [3]}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential import trace_sequence
@@ -47,6 +48,13 @@ def test_gratings_bend_light_by_their_order(glass, more, turned, unit, mm):
     away = 100.0 * np.tan(np.arcsin(-2 * 500e-6 * 300.0))
     np.testing.assert_allclose(found.x[0], x + away * np.sin(turned), rtol=0, atol=1e-11)
     np.testing.assert_allclose(found.y[0], y + away * np.cos(turned), rtol=0, atol=1e-11)
+
+
+def test_a_grating_without_an_order_is_refused():
+    words = {"radius": 0.0, "distance": 9.0, "glass": "", "unit": "M", "spacing": 0.01, "more": ""}
+    text = GRATING.format(order=1, **words).replace("GRO 1; ", "")
+    with pytest.raises(UserError, match=r"is a grating without an order \(GRO\)"):
+        read(text)
 
 
 def test_a_grating_on_an_asphere_keeps_its_powers():

@@ -190,7 +190,8 @@ def read_bulk(path: Path) -> Deck:
         nodes = [_whole(card.fields[2 + place], where) for place in order]
         cells.setdefault(kind, []).append(nodes)
         own.setdefault(kind, []).append(_whole(card.fields[0], where))
-        properties.setdefault(card.fields[1] or card.fields[0], []).append(own[kind][-1])
+        number = card.fields[1] or card.fields[0]
+        properties.setdefault(number.lstrip("0") if number.isdecimal() else number, []).append(own[kind][-1])
     return Deck(
         np.array(labels, dtype=np.int64),
         points,

@@ -54,7 +54,7 @@ def with_grating(row: Row, given: Grating, unit: str) -> Row:
 
 def _linear(row: Row, given: Grating, unit: str) -> Row:
     line, numbers = given.line, given.numbers
-    order, spacing = numbers.get("GRO", 0.0), numbers.get("GRS", 0.0)
+    spacing = numbers.get("GRS", 0.0)
     if not (spacing > 0.0 and math.isfinite(spacing)):
         fail(line, f"{row.label} is a grating without a positive spacing of its grooves (GRS)")
     along = [numbers.get(key, float(key == "GRY")) for key in ("GRX", "GRY", "GRZ")]
@@ -65,6 +65,9 @@ def _linear(row: Row, given: Grating, unit: str) -> Row:
         fail(
             line, f"{row.label} has grooves that are no sections along its axis (GRZ), which is not supported"
         )
+    if "GRO" not in numbers:  # what CODE V takes then is not published
+        fail(line, f"{row.label} is a grating without an order (GRO)")
+    order = numbers["GRO"]
     if not along[0] and along[1] > 0.0 and not row.lines.get("PARM"):
         per_um = 1e-3 / (spacing * _MM[unit])
         return _diffracting(row, line, "DGRATING", {1: per_um, 2: order}, [])

@@ -19,7 +19,7 @@ _HARMLESS = (
 )
 _KNOWN = frozenset((*OF_SURFACES, *_HARMLESS, *OPENINGS, "SCBD"))
 _MOVES_LIGHT = dict.fromkeys(  # unless all numbers after the first are zero
-    ("SQOB", "ELOB", "UDAP", "UDOB", "UDAD"), "an aperture of another form"
+    ("SQOB", "ELOB", "UDAP", "UDOB", "UDAD", "USAP", "USOB"), "an aperture of another form"
 )
 
 
