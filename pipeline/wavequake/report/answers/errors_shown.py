@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from wavequake.drawing.ticks import number_powers
 from wavequake.report.answers.errors import SAMPLING, open_errors
 from wavequake.report.figures import COLORS, STYLE, WIDTH
 from wavequake.report.page import Page, Picture, picture
@@ -161,6 +162,8 @@ def errors_figure(largest: Mapping[str, Mapping[str, float]]) -> Figure:
         shown = [largest[name].get(origin, np.nan) for name in names]
         axes.plot(shown, np.arange(len(names)), linestyle="none", markersize=5, label=origin, **style)
     axes.set_xscale("log")
+    axes.set_xlim(axes.get_xlim())
+    number_powers(axes.xaxis)
     axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel("error (% of the median)")
