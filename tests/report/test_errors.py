@@ -123,6 +123,19 @@ def test_what_has_no_error_has_no_row_in_the_figure_and_nothing_no_figure(store)
     assert errors_pictures(found) == []
 
 
+def test_models_beside_each_other_are_no_draws_and_have_no_error_by_sampling(store, monkeypatch):
+    draws = store_errors(store, 20)
+    module = "wavequake.report.answers.errors"
+    monkeypatch.setattr(
+        f"{module}.populations_of", lambda dataset, compared: dataset["case"].astype(str).values
+    )
+    found = store_errors(store, 20)
+    assert np.isnan(found["sampling"]).all()
+    np.testing.assert_array_equal(found["error"], draws["error"])
+    assert number_errors(found, 0)["mean"].most == "rays"
+    assert [*errors_table(found).columns[-2].cells] == ["–, –"] * 4
+
+
 def test_a_store_that_cannot_be_written_is_refused_before_anything_is_computed(store, monkeypatch):
     monkeypatch.setattr("os.access", lambda path, mode: False)
     monkeypatch.setattr("wavequake.report.answers.errors.cases_again", None)

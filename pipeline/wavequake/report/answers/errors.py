@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from wavequake.campaign.contract import DONE, StudyKind
 from wavequake.campaign.engine.pool import HERE, Place, mapped
 from wavequake.campaign.schema import Study, study_from_identity
+from wavequake.campaign.statistics.judged import populations_of
 from wavequake.campaign.statistics.refinement import Refined, refinement_error
 from wavequake.campaign.store.store import ERRORS, open_store, read_manifest
 from wavequake.campaign.store.whole import read_dataset, write_dataset
 from wavequake.errors import UserError
 from wavequake.prepared import one_thread
 from wavequake.report.at_hand import device_at_hand
-from wavequake.report.plain import Row, groups_of, rows
+from wavequake.report.plain import Row, compared_labels, groups_of, rows
 from wavequake.report.statistics import quantile
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.refinements import REDUCTION, Refinement, refinements
@@ -201,12 +202,15 @@ def store_errors(
     error, order, settled = np.full(shape, np.nan), np.full(shape, np.nan), np.ones(shape, dtype=np.int8)
     level, sampling = np.full((*shape[:2], 2), np.nan), np.full((*shape[:2], 2), np.nan)
     sets = dataset["replicate"].to_numpy() if "replicate" in dataset.coords else None
+    drawn = populations_of(dataset, compared_labels(store, dataset))
     for g, mine in enumerate(groups.values()):
         for r, row in enumerate(found):
             known = mine & np.isfinite(row.values)
             for q, p in enumerate(_LEVELS.values()):
                 one = quantile(row.values[known], p, sets=None if sets is None else sets[known])
-                level[g, r, q], sampling[g, r, q] = one.value, 0.5 * (one.high - one.low)
+                level[g, r, q] = one.value
+                if not _each_its_own(drawn[known]):
+                    sampling[g, r, q] = 0.5 * (one.high - one.low)
             for o, each in enumerate(sampled):
                 if (refined := error_of(each, (row.name, row.label), mine[ids])) is not None:
                     error[g, r, o], order[g, r, o] = refined.error, refined.order
@@ -244,6 +248,11 @@ def store_errors(
     )
     write_dataset(made, Path(store) / ERRORS)
     return made
+
+
+def _each_its_own(populations: NDArray[np.str_]) -> bool:
+    """Tell whether several cases are each of another kind, as models are: no draws, which sampling leaves."""
+    return 1 < len(populations) == len(np.unique(populations))
 
 
 def _measured(kind: StudyKind, text: str, name: str) -> bool:

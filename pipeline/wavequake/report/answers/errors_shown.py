@@ -111,8 +111,8 @@ def errors_notes(found: "xr.Dataset") -> Iterator[str]:
     yield (
         f"Rms over {counted(found.attrs['cases'], 'case')} computed again, in percent of the median, the "
         "largest of all fields, wavelengths and terms (STORE/errors.zarr has each); sampling: half the 95 % "
-        "confidence interval of P50 and P95 over all cases. ~: the steps do not converge, and the number is "
-        "their spread; ?: too few cases for an interval."
+        "confidence interval of P50 and P95 over all cases, where these are draws. ~: the steps do not "
+        "converge, and the number is their spread; ?: too few cases for an interval."
     )
     for origin, steps in json.loads(found.attrs["steps"]).items():
         joined = "; ".join(steps)
