@@ -1,12 +1,14 @@
 """Cases of loops, mirrors and telescopes as lens files, traced anew, against what their stores hold."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests.recorded_studies import RECORDED
 
 import wavequake as wq
+from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.store.store import read_manifest
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
@@ -22,11 +24,15 @@ from wavequake.optics.segments.states import rest
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.fits import fit_instants
 from wavequake.optics.wavefronts.wavefront import prepare_system, trace_system
+from wavequake.report.exports import case_states
 from wavequake.report.exports.case_states import disturbed
 from wavequake.report.exports.lens_file import export_case
+from wavequake.workflows.exposures.telescope_control import control_bench_of
+from wavequake.workflows.loops import telescope_bench
+from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.mirrors.bench import bench_of as mirror_bench
 from wavequake.workflows.mirrors.bench import cases_of, trace_study_of
-from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.bench import MAS_PER_RAD, bench_of
 from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.launches import surface_states
 
@@ -38,8 +44,12 @@ def stored(name, folder, cases):
     return folder / "store"
 
 
-def test_a_loops_case_is_that_under_the_controller(tmp_path):
-    store = stored("image-stabilizer", tmp_path, 1)
+def test_a_loops_case_is_that_under_the_controller(tmp_path, monkeypatch):
+    small, store = RECORDED["image-stabilizer"], tmp_path / "store"
+    text = wq.load_study(small.study, small.keys).identity_text()
+    # Of a store, files are made by its study alone: no case is computed.
+    manifest = SimpleNamespace(workflow="system-loop", study=text, cases=1)
+    monkeypatch.setattr(case_states, "read_manifest", lambda store: manifest)
     with pytest.raises(UserError, match="--under which controller of the case is meant: off, perfect"):
         export_case(store, tmp_path / "case.zmx", 0)
     ends = {}
@@ -130,5 +140,141 @@ def test_segments_that_deform_and_kinds_without_surfaces_are_refused(tmp_path):
     with pytest.raises(UserError, match="deform, each about its own center"):
         list(segment_systems(telescope, states, 0, [550e-6]))
     store = stored("lens-passive", tmp_path, 1)
-    with pytest.raises(UserError, match="lens-passive, whose cases are no states of one optical system"):
+    with pytest.raises(UserError, match="lens-passive, of whose cases no lens files are made"):
         export_case(store, tmp_path / "case.zmx", 0)
+
+
+TELESCOPE = """[study]
+name = "small"
+workflow = "telescope-{kind}"
+[telescope]
+name = "tmt-18"
+[imaging]
+pixels = 16
+[wavefront]
+zernike_terms = 15
+[[disturbance]]
+name = "all"
+model = "combine"
+of = ["mount", "segments", "tips"]
+instants = 20
+[[disturbance]]
+name = "tips"
+model = "static-random"
+tip_nrad = 20.0
+tilt_nrad = 20.0
+instants = 20
+[[disturbance]]
+name = "segments"
+model = "segment-history"
+peak_nm = 100.0
+duration_s = 0.1
+instants = 20
+[[disturbance]]
+name = "mount"
+model = "line-of-sight"
+act = "mount"
+rms_mas = 10.0
+duration_s = 0.1
+instants = 20
+[optics]
+"""
+EXPOSED = TELESCOPE.format(kind="exposure") + "rays_per_segment = 6\n"
+LOOP = (
+    TELESCOPE.format(kind="loop")
+    + """rays_per_segment = 6
+[look]
+traced = 2
+[[sensor]]
+name = "sight"
+model = "line-of-sight"
+rate_hz = 1000.0
+[[sensor]]
+name = "wavefront"
+model = "wavefront"
+rate_hz = 1000.0
+[[actuator]]
+name = "tilt"
+model = "m2-rigid"
+[[actuator]]
+name = "figure"
+model = "m2-figure"
+terms = 11
+[[controller]]
+name = "off"
+model = "off"
+[[controller]]
+name = "rigid"
+model = "integrator"
+sensor = "sight"
+actuator = "tilt"
+bandwidth_hz = 60.0
+[[controller]]
+name = "elastic"
+model = "perfect"
+sensor = "wavefront"
+actuator = "figure"
+modes = 10
+"""
+)
+
+
+def wavefront_of(files, prepared):
+    """Trace the files of all segments: rms beside the plane and of Noll 4 and up, nm; line of sight, mm."""
+    waves, rays = np.full(len(prepared.weight), np.nan), prepared.rays
+    sphere = np.array([[*prepared.chief, 0.0, prepared.train.sphere_radius]])
+    for number, file in enumerate(files):
+        again, mine = wq.load_system(file), np.flatnonzero(rays.segment == number)
+        slope = np.append(np.tan(again.fields[0]), 1.0)
+        ahead = (slope / np.linalg.norm(slope))[:, None] * np.ones(len(mine))
+        start = np.stack([rays.x[mine], rays.y[mine], np.zeros(len(mine))])
+        light = Rays(start, ahead, (ahead * start).sum(axis=0))
+        about = replace(moving(again, rest_states(again)), spheres=sphere)
+        found = trace_sequence_numpy(pack(again, prepared.wavelength), light, about)
+        assert (found.status == OK).all()
+        waves[mine] = -found.path[0] / prepared.wavelength
+    waves -= waves.mean()
+    share = np.sqrt(prepared.weight)
+    plane, zernike = (
+        np.linalg.lstsq(share[:, None] * fit.basis, share * waves, rcond=None)[0]
+        for fit in (prepared.plane, prepared.zernike)
+    )
+    flat = np.sqrt(np.sum((share * (waves - prepared.plane.basis @ plane)) ** 2))
+    steep = np.hypot(1.0, prepared.obscuration) * prepared.numerical_aperture
+    los = prepared.chief - 2.0 * prepared.wavelength / steep * zernike[1:3]
+    nm = 1e6 * prepared.wavelength
+    return nm * flat, nm * np.linalg.norm(zernike[3:]), los
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [(EXPOSED, ("static", "disturbed", "rigid", "elastic")), (LOOP, ("off", "rigid", "elastic"))],
+)
+def test_a_telescopes_case_has_the_wavefront_that_its_store_holds(text, names, tmp_path):
+    """Under each controller: line of sight, wavefront error; M2 tilts or deforms in the file."""
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    wq.run(path, store=tmp_path / "store", cases=1, on="serial")
+    study, held = read_manifest(tmp_path / "store").study, wq.open_store(tmp_path / "store").isel(case=0)
+    if text is LOOP:
+        bench = telescope_bench.bench_of(study_from_identity(TelescopeLoopStudy, study))
+        control, instant, place, kept = bench.optics.control, 9, 0, "traced_"
+    else:
+        control, instant, place, kept = control_bench_of(study), 13, 13, ""
+    nm, found = 1e6 * control.prepared.wavelength, {}
+    with pytest.raises(UserError, match=f"controller of the case is meant: {', '.join(names)}"):
+        export_case(tmp_path / "store", tmp_path / "case.zmx", 0, instant)
+    with pytest.raises(UserError, match="there is no instant 20"):
+        export_case(tmp_path / "store", tmp_path / "case.zmx", 0, 20, under=names[0])
+    for name in names:
+        files = export_case(tmp_path / "store", tmp_path / f"{name}.zmx", 0, instant, under=name)
+        flat, rms, los = wavefront_of(files, control.prepared)
+        mas = (los - control.static.los[0]) * MAS_PER_RAD / control.bench.first_order.focal_length
+        one = held.sel(controller=name).isel({"traced" if kept else "time": place})
+        assert rms == pytest.approx(float(one[f"{kept}wfe_rms"]), rel=0, abs=1e-5 * nm)
+        assert kept or flat == pytest.approx(float(one["wfe_rms_flat"]), rel=0, abs=1e-5 * nm)
+        np.testing.assert_allclose(mas, one[f"{kept}los"], rtol=0, atol=1e-3)
+        found[name] = rms, np.linalg.norm(mas)
+    first = "disturbed" if "disturbed" in names else "off"
+    assert found["rigid"][1] < 0.7 * found[first][1]
+    assert found["elastic"][0] < 0.7 * found[first][0]

@@ -253,6 +253,7 @@ def test_what_saturates_is_named_with_its_frequency():
     assert strongest(time, motion + 2.5) == "most at 12 Hz"  # 6.25 of what stands, 6.5 of what moves
     assert strongest(time, motion + 2.6) == "static"
     assert strongest(time, 0 * motion + 1.0) == "static"
+    assert strongest(np.arange(8.0), np.resize([1.0, -1.0], 8) + 1.2) == "static"  # as fast as instants tell
 
 
 def test_bodies_of_a_telescope_with_loops_are_modes(tmp_path):

@@ -197,9 +197,11 @@ def refuse_saturated(study: LoopBlocks, optics: Sighted, seen: Mapping[str, tupl
 def strongest(time: Array, motion: Array) -> str:
     """Say whether a motion (n,) at instants stands, mostly, or at which frequency there is most of it."""
     even = np.linspace(time[0], time[-1], len(time))
-    sizes = np.abs(np.fft.rfft(np.interp(even, time, motion))) ** 2 * 2.0
-    sizes[0] /= 2.0
-    if sizes[0] >= sizes[1:].sum():
+    values = np.interp(even, time, motion)
+    if values.mean() ** 2 >= values.var():
         return "static"
+    sizes = np.abs(np.fft.rfft(values)) ** 2
+    if len(even) % 2 == 0:
+        sizes[-1] /= 2.0  # of the fastest there is no negative frequency
     place = 1 + int(sizes[1:].argmax())
     return f"most at {place / (len(even) * (even[1] - even[0])):.3g} Hz"

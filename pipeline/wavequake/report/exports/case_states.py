@@ -62,8 +62,8 @@ def disturbed(store: Path, case: int, under: str = "") -> tuple[OpticalSystem, S
     manifest = _manifest(store, case)
     if manifest.workflow not in _SYSTEMS:
         raise UserError(
-            f"{store} holds the workflow {manifest.workflow}, whose cases are no states of one optical "
-            f"system of surfaces; those of {', '.join((*_SYSTEMS, *_SEGMENTED))} are."
+            f"{store} holds the workflow {manifest.workflow}, of whose cases no lens files are made; they "
+            f"are of {', '.join((*_SYSTEMS, *_SEGMENTED))}, and displacements of {', '.join(_SYSTEMS)}."
         )
     return _SYSTEMS[manifest.workflow](manifest.study, case, under)
 
