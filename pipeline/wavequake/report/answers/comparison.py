@@ -390,9 +390,7 @@ def compare_stores(
     if figure and figure.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UserError(f"The figure {figure} must end in .png, .svg or .pdf.")
     first, *others = [open_store(store) for store in stores]
-    comparisons = [
-        compare(first, other, names[0], name) for other, name in zip(others, names[1:], strict=True)
-    ]
+    comparisons = [compare(first, one, names[0], name) for one, name in zip(others, names[1:], strict=True)]
     try:
         if figure:
             comparison_figure(names, comparisons).savefig(figure, dpi=150)
