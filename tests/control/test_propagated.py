@@ -81,5 +81,5 @@ def test_many_channels_on_a_structure_have_the_noise_of_lyapunovs_equation(count
 
 
 def test_beyond_half_the_rate_nothing_is_known():
-    found = noise_spectra(scalar(0.3), Sight(RIGID, np.eye(1)), np.ones(1), np.array([10.0, 249.0, 250.0]))
+    found = noise_spectra(scalar(0.3), Sight(RIGID, np.eye(1)), np.ones(1), np.array([10.0, 250.0, 251.0]))
     assert np.isfinite(found[:, 0]).tolist() == [True, True, False]

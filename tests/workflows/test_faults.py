@@ -110,7 +110,7 @@ def test_ctrl_c_ends_at_once_and_quietly_and_the_next_run_completes(tmp_path, re
     toy.wait_for_records(tmp_path / "s", 3)
     children = children_of(driver.pid)
     (os.killpg if whole_group else os.kill)(driver.pid, signal.SIGINT)
-    said, complained = driver.communicate(timeout=5)
+    said, complained = driver.communicate(timeout=20)
     assert (said, complained, driver.returncode) == ("interrupted\n", "", 0)
     assert not still_there(children)
     summary = toy.run(tmp_path / "s", SLOW, cases=100)
@@ -177,7 +177,7 @@ def test_a_driver_with_workers_says_nothing_but_its_result(tmp_path):
     driver = toy.driver(
         tmp_path / "s", {"once": [25], "crash": [3], "folder": str(tmp_path)}, on="local", workers=2
     )
-    assert driver.communicate(timeout=60) == ("40\n", "")
+    assert driver.communicate(timeout=180) == ("40\n", "")
 
 
 def test_what_workers_print_is_in_the_log_alone(tmp_path):
@@ -188,7 +188,7 @@ def test_what_workers_print_is_in_the_log_alone(tmp_path):
     begun = tmp_path / "begun"
     options = {"say": [14, 27], "crash": [3], "count": str(begun)}
     driver = toy.driver(tmp_path / "s", options, on="local", workers=2)
-    assert driver.communicate(timeout=60) == ("40\n", "")
+    assert driver.communicate(timeout=180) == ("40\n", "")
     (file,) = (tmp_path / "s" / "log").iterdir()
     log = file.read_text()
     times = sum(case in ("14", "27") for case in begun.read_text().split())
