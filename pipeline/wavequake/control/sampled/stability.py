@@ -308,7 +308,11 @@ class LoopCurve:
 
 
 def curve(loop: SampledLoop, hertz: Array) -> LoopCurve:
-    """Return a stable loop at rising frequencies in Hz (f,)."""
+    """Return a stable loop at rising frequencies in Hz (f,).
+
+    A loop gain is real at half the rate of commands, where slow loops have their margins: let it be among
+    the frequencies, or these margins are not seen.
+    """
     inside = below_half(hertz, loop.timing)
     return curve_of_loci(_loop_gain(loop, parts_of(loop)).loci(hertz[inside]), inside)
 
