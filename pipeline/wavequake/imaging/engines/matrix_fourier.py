@@ -1,5 +1,6 @@
 """Point spread functions by two matrix products: the Fourier transform at just the pixels that are wanted."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,13 @@ from numpy.typing import DTypeLike, NDArray
 from wavequake.errors import UserError
 from wavequake.imaging.pupils.pupil_function import PupilGrid, pupil_field, pupil_function, single_patches
 from wavequake.kernels.device.devices import NUMPY, Device
-from wavequake.kernels.transforms.folded import FoldedTransform, folded_images, folded_sum, folded_transform
+from wavequake.kernels.transforms.folded import (
+    FoldedTransform,
+    folded_images,
+    folded_sum,
+    folded_transform,
+    launches,
+)
 from wavequake.kernels.transforms.folded_pupils import LitPhase, Pupils
 
 Real = NDArray[np.float64]
@@ -132,12 +139,11 @@ def psf(transform: MatrixFourier, phase: Real) -> Real:
     check_phase(transform, phase)
     folded = transform.folded
     images = np.empty((len(phase), *2 * transform.axis.shape))
-    for first in range(0, len(phase), _BATCH):
-        part = phase[first : first + _BATCH]
+    for part in _parts(transform, len(phase)):
         if folded is not None:
-            images[first : first + _BATCH] = folded_images(folded, _pupils(transform, part))
+            images[part] = folded_images(folded, _pupils(transform, phase[part]))
         else:
-            images[first : first + _BATCH] = _images(transform, pupil_function(transform.pupil, part))
+            images[part] = _images(transform, pupil_function(transform.pupil, phase[part]))
     return images
 
 
@@ -162,13 +168,20 @@ def amplitude_images(transform: MatrixFourier, amplitude: Complex) -> Real:
     """
     check_phase(transform, amplitude)
     images = np.empty((len(amplitude), *2 * transform.axis.shape))
-    for first in range(0, len(amplitude), _BATCH):
-        field = pupil_field(transform.pupil, amplitude[first : first + _BATCH])
+    for part in _parts(transform, len(amplitude)):
+        field = pupil_field(transform.pupil, amplitude[part])
         if transform.folded is not None:
-            images[first : first + _BATCH] = folded_images(transform.folded, field)
+            images[part] = folded_images(transform.folded, field)
         else:
-            images[first : first + _BATCH] = _images(transform, field)
+            images[part] = _images(transform, field)
     return images
+
+
+def _parts(transform: MatrixFourier, count: int) -> Iterator[slice]:
+    """Yield which of `count` images are made at once, which bounds the memory."""
+    if transform.folded is not None:
+        return launches(transform.folded, count)
+    return (slice(first, first + _BATCH) for first in range(0, count, _BATCH))
 
 
 def _images(transform: MatrixFourier, field: Complex) -> Real:
@@ -205,8 +218,7 @@ def psf_sum(transform: MatrixFourier, phase: Real, weights: Real) -> Real:
     if weights.shape != (len(phase),) or not np.isfinite(weights).all():
         raise UserError(f"{len(phase)} instants need as many finite weights, not {weights.shape}")
     total = np.zeros(2 * transform.axis.shape)
-    for first in range(0, len(phase), _BATCH):
-        part = slice(first, first + _BATCH)
+    for part in _parts(transform, len(phase)):
         if transform.folded is not None:
             total = folded_sum(transform.folded, _pupils(transform, phase[part]), weights[part], total)
             continue

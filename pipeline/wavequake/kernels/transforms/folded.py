@@ -1,5 +1,6 @@
 """Transform pupils to images by matrix products on the pixels that are wanted, many pupils in a launch."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
@@ -19,14 +20,16 @@ from wavequake.kernels.transforms.folded_pupils import (
     Rim,
     SmoothPhase,
     count_of,
+    lit_columns,
     part_of,
     rim_places,
 )
 
 Floating = NDArray[np.float32] | NDArray[np.float64]
 Real = NDArray[np.float64]
-# Images in a launch: their transformed columns (1 MB each at 512 cells and 128 pixels) stay in the cache.
-_BATCH = 8
+# Images in a launch: as many as have their transformed columns in the cache (1 MB each at 512 cells and 128
+# pixels), since each launch takes up to half a millisecond beside its work.
+_FEWEST, _MOST, _CACHED_BYTES = 8, 64, 1 << 23
 # Rows of an image that share what is read, and vectors of pixels in a row: as many sums as registers hold.
 _TALL = {"cpu": 3, "gpu": 4}
 _WIDE = {("cpu", "float64"): 2, ("cpu", "float32"): 3, ("gpu", "float64"): 1, ("gpu", "float32"): 1}
@@ -154,7 +157,7 @@ def folded_transform(
         rows=rows,
         columns=columns,
         ramp=ramp.astype(dtype),
-        range=_lit_columns(amplitude, rim),
+        range=lit_columns(amplitude, rim),
         # (parity, group of frequencies, cell, frequency)
         along_y=np.ascontiguousarray(tall_tables.reshape(2, -1, tall, half).transpose(0, 1, 3, 2), dtype),
         along_x=np.ascontiguousarray(cells.reshape(2, -1, pack, half).transpose(0, 1, 3, 2), dtype),
@@ -164,6 +167,13 @@ def folded_transform(
         rim_places=places,
         rim_light=shares.astype(dtype),
     )
+
+
+def launches(transform: FoldedTransform, count: int) -> Iterator[slice]:
+    """Yield which of `count` images are made in one launch each; their bits do not depend on that."""
+    size = 4 * len(transform.amplitude) * transform.columns * transform.amplitude.itemsize
+    batch = min(_MOST, max(_FEWEST, _CACHED_BYTES // size))
+    return (slice(first, first + batch) for first in range(0, count, batch))
 
 
 def folded_images(transform: FoldedTransform, pupils: Pupils) -> Floating:
@@ -179,8 +189,8 @@ def folded_images(transform: FoldedTransform, pupils: Pupils) -> Floating:
     pixels = transform.pixels
     count = count_of(pupils)
     images = np.empty((count, pixels, pixels), transform.amplitude.dtype)
-    for first in range(0, count, _BATCH):
-        out, part = images[first : first + _BATCH], part_of(pupils, slice(first, first + _BATCH))
+    for some in launches(transform, count):
+        out, part = images[some], part_of(pupils, some)
         steps, inputs, scratch = _image_steps(transform, part)
         run_steps(transform.device, steps, inputs, {"images": out}, scratch)
         program = "images", steps[0].constants
@@ -214,10 +224,9 @@ def folded_sum(transform: FoldedTransform, pupils: Pupils, weights: Real, total:
     Images of weight 0 may be anything, NaN too. The bits of the sum are those of adding one by one.
     """
     pixels = transform.pixels
-    for first in range(0, len(weights), _BATCH):
-        some = part_of(pupils, slice(first, first + _BATCH))
+    for together in launches(transform, len(weights)):
+        some, part = part_of(pupils, together), np.asarray(weights[together], np.float64)
         steps, inputs, scratch = _image_steps(transform, some)
-        part = np.asarray(weights[first : first + _BATCH], np.float64)
         scratch["images"] = len(part) * pixels * pixels * transform.amplitude.itemsize
         inputs |= {"weights": part, "before": total}
         group = {"cpu": 1024, "gpu": 64}[transform.device.kind]
@@ -388,13 +397,3 @@ def _thin(tables: Real, group: int, negligible: float) -> tuple[Real, Real]:
     extra = ((0, 0), (0, padded - kept), (0, 0))
     to_pixels = (left[..., :kept] * size[:, None, :kept]).transpose(0, 2, 1)
     return np.pad(right[:, :kept], extra), np.pad(to_pixels, extra)
-
-
-def _lit_columns(amplitude: Real, rim: Rim) -> NDArray[np.int32]:
-    samples = len(amplitude)
-    lit = amplitude != 0.0
-    lit.flat[rim.cells] = True
-    lit = lit | lit[::-1]
-    lit = (lit | lit[:, ::-1])[samples // 2 :, samples // 2 :]
-    first, last = lit.argmax(axis=1), lit.shape[1] - lit[:, ::-1].argmax(axis=1)
-    return np.stack([first, np.where(lit.any(axis=1), last, first)], axis=1).astype(np.int32)

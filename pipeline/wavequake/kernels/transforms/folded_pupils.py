@@ -91,3 +91,14 @@ def rim_places(rim: Rim, samples: int) -> tuple[NDArray[np.intp], NDArray[np.int
     starts = np.searchsorted(rows[order], np.arange((samples + 1) // 2 + 1))
     places = np.concatenate([starts, columns[order]]).astype(np.int32)
     return order, places, np.ascontiguousarray(shares.T[order])
+
+
+def lit_columns(amplitude: NDArray[np.float64], rim: Rim) -> NDArray[np.int32]:
+    """Return the first lit column right of the middle, and one past the last, of the upper half's rows."""
+    samples = len(amplitude)
+    lit = amplitude != 0.0
+    lit.flat[rim.cells] = True
+    lit = lit | lit[::-1]
+    lit = (lit | lit[:, ::-1])[samples // 2 :, samples // 2 :]
+    first, last = lit.argmax(axis=1), lit.shape[1] - lit[:, ::-1].argmax(axis=1)
+    return np.stack([first, np.where(lit.any(axis=1), last, first)], axis=1).astype(np.int32)
