@@ -21,6 +21,7 @@ from wavequake.reduction.structure import (
     elastic_modes,
     fixed_modes,
     held,
+    kept_with,
     structure,
 )
 
@@ -145,6 +146,9 @@ def _inner_basis(body: Structure, modes: int, highest: float) -> Array:
 
 
 def dense_structure(model: Intermediate) -> Structure:
-    """Return the structure of an intermediate model."""
+    """Return the structure of an intermediate model, the same object while the model lives."""
     interface = np.arange(3 * len(model.interfaces))
-    return Structure(model.name, model.mass, model.stiffness, model.damping, interface, model.rigid)
+    return kept_with(
+        model,
+        lambda: Structure(model.name, model.mass, model.stiffness, model.damping, interface, model.rigid),
+    )

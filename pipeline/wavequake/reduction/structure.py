@@ -102,7 +102,17 @@ class Structure:
         return result
 
 
-_structures: dict[int, tuple[weakref.ref[FiniteElementModel], Structure]] = {}
+_structures: dict[int, tuple[weakref.ref[Any], Structure]] = {}
+
+
+def kept_with(model: Any, make: Callable[[], Structure]) -> Structure:
+    """Return the structure that is made of a model, the same object while the model lives."""
+    known = _structures.get(id(model))
+    if known is not None and known[0]() is model:
+        return known[1]
+    made, key = make(), id(model)
+    _structures[key] = (weakref.ref(model, lambda _: _structures.pop(key, None)), made)
+    return made
 
 
 def structure(model: FiniteElementModel) -> Structure:
@@ -113,9 +123,10 @@ def structure(model: FiniteElementModel) -> Structure:
     UserError
         If an entry is not finite, or an interface node cannot move.
     """
-    known = _structures.get(id(model))
-    if known is not None and known[0]() is model:
-        return known[1]
+    return kept_with(model, lambda: _structure(model))
+
+
+def _structure(model: FiniteElementModel) -> Structure:
     for label, matrix in (("mass", model.mass), ("stiffness", model.stiffness)):
         if not np.isfinite(matrix.data).all():
             raise UserError(f"The {label} matrix of the model {model.name} has entries that are not finite.")
@@ -126,10 +137,7 @@ def structure(model: FiniteElementModel) -> Structure:
     rigid = mass_normalized_rigid_modes(model)
     if model.order <= DENSE:
         mass, stiffness = mass.toarray(), stiffness.toarray()
-    made = Structure(model.name, mass, stiffness, model.damping, interface, rigid)
-    key = id(model)
-    _structures[key] = (weakref.ref(model, lambda _: _structures.pop(key, None)), made)
-    return made
+    return Structure(model.name, mass, stiffness, model.damping, interface, rigid)
 
 
 def determinate(rigid: Array) -> Integers:
