@@ -41,6 +41,8 @@ class NodalResults:
         m.
     motions : ndarray, shape (n, p, 3) or (n, p, 6)
         m, and rotations in rad; of modes in the file's own scale, displacements times its unit of length.
+    note : str
+        What a user may want to know of where they are from.
     """
 
     kind: Kind
@@ -48,6 +50,7 @@ class NodalResults:
     labels: Integers
     points: Array
     motions: Array
+    note: str = ""
 
 
 def read_written(path: Path) -> Written:
