@@ -1,16 +1,20 @@
 """Thermal expansion of solid bodies against closed forms: free bodies without stress, plates, held bodies."""
 
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from wavequake.errors import UserError
+from wavequake.mechanics.importers.ansys_reader import read_results
 from wavequake.mechanics.importers.mesh import read_mesh
 from wavequake.mechanics.mirrors.deck import write_deck
 from wavequake.mechanics.mirrors.models import ALUMINUM, CircularMirror, mirror_mesh
 from wavequake.mechanics.nodal.expansion import Material, Solid, expanded, solid_of
+from wavequake.mechanics.nodal.rst import read_rst
 from wavequake.mechanics.nodal.solids import KINDS
 from wavequake.mechanics.nodal.temperatures import thermal_displacements
 from wavequake.mechanics.nodal.thermal import Thermal
@@ -200,6 +204,46 @@ def test_temperatures_of_calculix(tmp_path):
     )
     corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert_allclose(found.motions[0], 5.0 * ALPHA * 1e-3 * (corner - 0.25), rtol=1e-9, atol=1e-18)
+
+
+class AnsysResults:
+    """As ansys-mapdl-reader shows a file: two load steps of a quadratic tetrahedron, in mm."""
+
+    n_results, time_values, _resultheader = 2, [1.0, 2.0], {"kan": 0}
+    points = KINDS["tetra10"][0] * [20.0, 30.0, 40.0]
+    mesh = SimpleNamespace(nnum=np.arange(1, 11), nodes=points)
+
+    def nodal_temperature(self, step):
+        """Of corners, as results of structures have them; ansys-mapdl-reader has nan amid edges."""
+        warm = 20.0 + step * 50.0 * self.points[:, 2] * 1e-3
+        return np.arange(1, 11), np.where(np.arange(10) < 4, warm, np.nan)
+
+    def nodal_displacement(self, step):
+        return np.arange(1, 11), np.zeros((10, 6))
+
+
+def test_temperatures_of_ansys_bend_a_body_without_stress(tmp_path, monkeypatch):
+    """Those amid edges are the means of the ends, so a linear field is met to rounding."""
+    reader = SimpleNamespace(read_binary=lambda path: AnsysResults())
+    for name in ("ansys", "ansys.mapdl", "ansys.mapdl.reader"):
+        monkeypatch.setitem(
+            sys.modules, name, SimpleNamespace(mapdl=SimpleNamespace(reader=reader), reader=reader)
+        )
+    monkeypatch.setattr(
+        "wavequake.mechanics.nodal.rst.library_arrays", lambda path, what: read_results(path, what)
+    )
+    points = AnsysResults.points
+    nodes = [f"{k}, {x!r}, {y!r}, {z!r}" for k, (x, y, z) in enumerate(points.tolist(), 1)]
+    deck = ["*NODE", *nodes, "*ELEMENT, TYPE=C3D10", "1,1,2,3,4,5,6,7,8,9,10"]
+    (tmp_path / "t.inp").write_text("\n".join([*deck, ""]))
+    for name in ("t.rst", "t.rth"):
+        found = thermal_displacements(
+            tmp_path / name, "mm", tmp_path / "t.inp", Thermal(expansion_per_k=ALPHA, reference=20)
+        )
+        assert (found.kind, found.values.tolist()) == ("case", [1.0, 2.0])
+        assert np.abs(found.motions[0]).max() < 1e-20
+        same_but_for_rigid_motion(found.motions[1], gradient_field(points * 1e-3, 50.0), points * 1e-3)
+    assert read_rst(tmp_path / "t.rst").steps[1].values.shape == (10, 3)
 
 
 def test_temperatures_of_points_without_places_are_passed_over(tmp_path):

@@ -22,8 +22,9 @@ READERS: dict[str, Callable[[Path], Written]] = {
     ".op2": op2.read_op2,
     ".frd": frd.read_frd,
     ".rst": rst.read_rst,
+    ".rth": rst.read_temperatures,
 }
-FORMATS = ".csv, .npz, .txt (Zemax STAR), .op2 (Nastran), .frd (CalculiX) or .rst (Ansys)"
+FORMATS = ".csv, .npz, .txt (Zemax STAR), .op2 (Nastran), .frd (CalculiX) or .rst, .rth (Ansys)"
 _CARDS = (".bdf", ".nas", ".fem", ".dat")
 
 
