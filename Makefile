@@ -54,9 +54,10 @@ test-fast: $(VENV)/.dev
 
 soak: $(VENV)/.dev
 	SOAK_KILLS=$${SOAK_KILLS:-200} SOAK_SEEDS=$${SOAK_SEEDS:-100000} \
-	  TWIN_RECORDS=400 STOPPED_S=40 $(BIN)/python -m pytest -q -s \
+	  MANY_RECORDS=1 STOPPED_S=40 $(BIN)/python -m pytest -q -s \
 	  tests/workflows/test_soak.py tests/workflows/test_simulation.py \
-	  tests/workflows/test_starts.py tests/mechanics/test_telemetry_lines.py
+	  tests/workflows/test_starts.py tests/mechanics/test_telemetry_lines.py \
+	  tests/mechanics/test_telemetry_agreement.py tests/rare/test_splitting.py
 
 fuzz: $(VENV)/.dev
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[ansys]' || \

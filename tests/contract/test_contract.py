@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from small_kinds import KINDS
+from study_text import controller, part
 from test_sources import EXAMPLES, SEGMENTS, STAND, SYSTEM, entry, loaded
 
 from wavequake.campaign.contract import DONE
@@ -51,22 +52,10 @@ def test_a_kind_gives_what_it_promises_and_a_case_does_not_depend_on_its_chunk(k
             np.testing.assert_array_equal(alone.arrays[key][0], whole[key][last].to_numpy(), err_msg=key)
 
 
-STEERED = """
-[[sensor]]
-name = "image"
-model = "line-of-sight"
-rate_hz = 500.0
-[[actuator]]
-name = "steer"
-ACTS
-[[controller]]
-name = "loop"
-model = "integrator"
-sensor = "image"
-actuator = "steer"
-"""
-OPTIC = STEERED.replace("ACTS", 'model = "optic"\nof = "surface 3"\ndofs = ["rx", "ry"]')
-TILT = STEERED.replace("ACTS", 'model = "m2-rigid"\n[look]\ntraced = 2')
+STEERED = part("sensor", name="image", model="line-of-sight", rate_hz=500.0)
+STEERED += controller("loop", "integrator", "image", "steer")
+OPTIC = STEERED + part("actuator", name="steer", model="optic", of="surface 3", dofs=["rx", "ry"])
+TILT = STEERED + part("actuator", name="steer", model="m2-rigid") + "[look]\ntraced = 2\n"
 EXPOSED = SEGMENTS.replace("enabled = false", "pixels = 16")
 # The optics that a kind disturbs, a study of it, and what is called NAME in the examples of sources.
 DISTURBED = {

@@ -71,7 +71,7 @@ def forked(words: list[str]) -> tuple[int, str]:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(8)  # a fork may hang where threads held locks, which a process of its own has not
         try:
-            ansys_reader.main(words[0], words[1], int(words[2]))
+            ansys_reader.main(words[0], words[1], int(words[2]), words[3])
         except SystemExit as end:
             sys.stdout.flush()
             os._exit(int(str(end)))

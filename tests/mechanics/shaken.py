@@ -1,8 +1,15 @@
 """Oscillators that noise drives, sampled exactly: what telemetry is made of in tests."""
 
+import os
+
 import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
+
+
+def records(few, many):
+    """Return how many records are looked at: few of them in `make test`, many in `make soak`."""
+    return many if os.environ.get("MANY_RECORDS") else few
 
 
 def oscillator_series(random, count, step, natural_hz, damping):

@@ -1,18 +1,23 @@
 """Thermal expansion of solid bodies against closed forms: free bodies without stress, plates, held bodies."""
 
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from wavequake.errors import UserError
+from wavequake.mechanics.importers.ansys_reader import read_results
 from wavequake.mechanics.importers.mesh import read_mesh
 from wavequake.mechanics.mirrors.deck import write_deck
 from wavequake.mechanics.mirrors.models import ALUMINUM, CircularMirror, mirror_mesh
 from wavequake.mechanics.nodal.expansion import Material, Solid, expanded, solid_of
+from wavequake.mechanics.nodal.rst import read_rst
 from wavequake.mechanics.nodal.solids import KINDS
-from wavequake.mechanics.nodal.temperatures import Thermal, thermal_displacements
+from wavequake.mechanics.nodal.temperatures import thermal_displacements
+from wavequake.mechanics.nodal.thermal import Thermal
 
 DATA = Path(__file__).parents[1] / "data"
 ALPHA = 2e-5
@@ -201,6 +206,46 @@ def test_temperatures_of_calculix(tmp_path):
     assert_allclose(found.motions[0], 5.0 * ALPHA * 1e-3 * (corner - 0.25), rtol=1e-9, atol=1e-18)
 
 
+class AnsysResults:
+    """As ansys-mapdl-reader shows a file: two load steps of a quadratic tetrahedron, in mm."""
+
+    n_results, time_values, _resultheader = 2, [1.0, 2.0], {"kan": 0}
+    points = KINDS["tetra10"][0] * [20.0, 30.0, 40.0]
+    mesh = SimpleNamespace(nnum=np.arange(1, 11), nodes=points)
+
+    def nodal_temperature(self, step):
+        """Of corners, as results of structures have them; ansys-mapdl-reader has nan amid edges."""
+        warm = 20.0 + step * 50.0 * self.points[:, 2] * 1e-3
+        return np.arange(1, 11), np.where(np.arange(10) < 4, warm, np.nan)
+
+    def nodal_displacement(self, step):
+        return np.arange(1, 11), np.zeros((10, 6))
+
+
+def test_temperatures_of_ansys_bend_a_body_without_stress(tmp_path, monkeypatch):
+    """Those amid edges are the means of the ends, so a linear field is met to rounding."""
+    reader = SimpleNamespace(read_binary=lambda path: AnsysResults())
+    for name in ("ansys", "ansys.mapdl", "ansys.mapdl.reader"):
+        monkeypatch.setitem(
+            sys.modules, name, SimpleNamespace(mapdl=SimpleNamespace(reader=reader), reader=reader)
+        )
+    monkeypatch.setattr(
+        "wavequake.mechanics.nodal.rst.library_arrays", lambda path, what: read_results(path, what)
+    )
+    points = AnsysResults.points
+    nodes = [f"{k}, {x!r}, {y!r}, {z!r}" for k, (x, y, z) in enumerate(points.tolist(), 1)]
+    deck = ["*NODE", *nodes, "*ELEMENT, TYPE=C3D10", "1,1,2,3,4,5,6,7,8,9,10"]
+    (tmp_path / "t.inp").write_text("\n".join([*deck, ""]))
+    for name in ("t.rst", "t.rth"):
+        found = thermal_displacements(
+            tmp_path / name, "mm", tmp_path / "t.inp", Thermal(expansion_per_k=ALPHA, reference=20)
+        )
+        assert (found.kind, found.values.tolist()) == ("case", [1.0, 2.0])
+        assert np.abs(found.motions[0]).max() < 1e-20
+        same_but_for_rigid_motion(found.motions[1], gradient_field(points * 1e-3, 50.0), points * 1e-3)
+    assert read_rst(tmp_path / "t.rst").steps[1].values.shape == (10, 3)
+
+
 def test_temperatures_of_points_without_places_are_passed_over(tmp_path):
     beyond = " -1         4 2.50000E+01\n"
     (tmp_path / "t.frd").write_text(FRD.replace(beyond, beyond + beyond.replace("4 2.5", "9 9.5")))
@@ -238,119 +283,3 @@ def test_what_gives_no_displacements_is_said(tmp_path, csv, inp, thermal, words)
             tmp_path / "t.inp",
             Thermal(expansion_per_k=ALPHA, reference=20, **thermal),
         )
-
-
-def bricks(counts, sizes):
-    """Quadratic bricks in rows, and the layer (along z, from 0) of each."""
-    lattice = np.stack(np.meshgrid(*(np.arange(2 * n + 1) for n in counts), indexing="ij"), axis=-1)
-    kept = (lattice % 2).sum(axis=-1) < 2  # corners and middles of edges
-    number = np.where(kept, np.cumsum(kept).reshape(kept.shape) - 1, -1)
-    local = np.rint(KINDS["hexahedron20"][0]).astype(int) + 1
-    first = 2 * np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
-    elements = number[tuple(np.moveaxis(first[:, None] + local, -1, 0))]
-    points = lattice[kept] * (np.array(sizes) / 2.0 / counts)
-    return points, elements, first[:, 2] // 2
-
-
-# A strip of two metals, Timoshenko, J. Opt. Soc. Am. 11, 233 (1925), Eq. 4, without Poisson's ratio.
-BRASS, INVAR = Material(19e-6, 0.0, 105.0), Material(1e-6, 0.0, 140.0)
-LENGTH, WIDTH, THICK = 0.06, 0.002, (0.0006, 0.0004)
-
-
-def timoshenko(below, above, rise):
-    m, n = THICK[0] / THICK[1], below.modulus / above.modulus
-    head = 6 * (below.expansion - above.expansion) * rise * (1 + m) ** 2
-    return head / (sum(THICK) * (3 * (1 + m) ** 2 + (1 + m * n) * (m**2 + 1 / (m * n))))
-
-
-def strip():
-    points, elements, layer = bricks((30, 1, 2), (LENGTH, WIDTH, 2.0))
-    points[:, 2] = np.interp(points[:, 2], [0.0, 1.0, 2.0], [0.0, THICK[0], sum(THICK)])
-    return points, elements, layer
-
-
-def strip_curvature(points, moved):
-    """That of the lower edge, away from the ends."""
-    x, y, z = points.T
-    edge = (y == 0.0) & (z == 0.0) & (np.abs(x - LENGTH / 2) < LENGTH / 4)
-    return 2.0 * np.polyfit(x[edge], moved[edge, 2], 2)[0]
-
-
-def test_a_strip_of_two_metals_curves_as_timoshenko_says():
-    points, elements, layer = strip()
-    body = Solid("strip", points, {"hexahedron20": elements}, {"hexahedron20": layer})
-    warmer = np.full((1, len(points)), 50.0)
-    (found,) = expanded(body, warmer, [BRASS, INVAR])
-    exact = timoshenko(BRASS, INVAR, 50.0)
-    assert abs(exact) > 1e-2  # 1/m: the strip bends by 0.3 mm
-    assert strip_curvature(points, found) == pytest.approx(exact, rel=1e-7)
-    # The sides of equal expansion stay straight, whatever their moduli.
-    (found,) = expanded(body, warmer, [BRASS, Material(19e-6, 0.0, 1.0)])
-    assert abs(strip_curvature(points, found)) < 1e-9
-
-
-def test_the_center_of_mass_of_several_materials_stays():
-    """Of a heavy and a light half, each of which grows about the other."""
-    points, elements, layer = bricks((1, 1, 2), (0.1, 0.1, 0.2))
-    body = Solid("halves", points, {"hexahedron20": elements}, {"hexahedron20": layer})
-    heavy, light = Material(ALPHA, 0.3, density=3.0), Material(ALPHA, 0.3, density=1.0)
-    (found,) = expanded(body, np.full((1, len(points)), 30.0), [heavy, light])
-    center = np.array([0.05, 0.05, (3.0 * 0.05 + 0.15) / 4.0])
-    assert_allclose(found, 30.0 * ALPHA * (points - center), rtol=0, atol=1e-15)
-
-
-def write_strip(folder, form):
-    """The strip as a deck, its upper metal a set (or property 2) of elements, warm by 50 K."""
-    points, elements, layer = strip()
-    if form == ".inp":
-        lines = ["*NODE", *(f"{k}, {x!r}, {y!r}, {z!r}" for k, (x, y, z) in enumerate(points.tolist(), 1))]
-        for number in (0, 1):
-            lines.append(f"*ELEMENT, TYPE=C3D20R, ELSET=LAYER{number}")
-            for k in np.flatnonzero(layer == number):
-                nodes = [str(node + 1) for node in elements[k]]
-                lines += [f"{k + 1}, {', '.join(nodes[:10])},", ", ".join(nodes[10:])]
-        lines += ["*ELSET, ELSET=UPPER", "LAYER1", "*ELSET, ELSET=BOTH, GENERATE", f"1, {len(elements)}"]
-        lines += ["*ELSET, ELSET=NONE", "9999"]
-    else:
-        order = [*range(12), 16, 17, 18, 19, 12, 13, 14, 15]  # Nastran's, see its CHEXA
-        lines = ["BEGIN BULK"]
-        lines += [f"GRID,{k},,{x:.9f},{y:.9f},{z:.9f}" for k, (x, y, z) in enumerate(points.tolist(), 1)]
-        for k, nodes in enumerate(elements):
-            fields = [k + 1, layer[k] + 1, *(nodes[order] + 1)]
-            rows = [",".join(map(str, fields[i : i + 8])) for i in range(0, len(fields), 8)]
-            lines += [f"CHEXA,{rows[0]}", *(f",{row}" for row in rows[1:])]
-        lines.append("ENDDATA")
-    (folder / f"strip{form}").write_text("\n".join(lines) + "\n")
-    rows = [f"{k},70" for k in range(1, len(points) + 1)]
-    (folder / "warm.csv").write_text("\n".join(["node,temperature_c", *rows]) + "\n")
-    return folder / "warm.csv", folder / f"strip{form}"
-
-
-def of_metals(upper, **changed):
-    first = {"expansion_per_k": 19e-6, "poisson_ratio": 0.0, "youngs_modulus_gpa": 105.0, "reference": 20.0}
-    second = {"elements": upper, "expansion_per_k": 1e-6, "poisson_ratio": 0.0, "youngs_modulus_gpa": 140.0}
-    return Thermal(**first, material=[second | changed])
-
-
-@pytest.mark.parametrize(("form", "upper"), [(".inp", "upper"), (".inp", ["LAYER1"]), (".bdf", 2)])
-def test_materials_of_element_sets_of_a_deck(tmp_path, form, upper):
-    warm, mesh = write_strip(tmp_path, form)
-    found = thermal_displacements(warm, "m", mesh, of_metals(upper))
-    assert strip_curvature(found.points, found.motions[0]) == pytest.approx(
-        timoshenko(BRASS, INVAR, 50.0), rel=1e-7
-    )
-
-
-@pytest.mark.parametrize(
-    ("thermal", "words"),
-    [
-        (of_metals("UPER"), "strip.inp has no element set 'UPER' .thermal.material., did you mean UPPER"),
-        (of_metals("UPPER", youngs_modulus_gpa=None), "several materials needs youngs_modulus_gpa of each"),
-        (of_metals("UPPER", density_kg_m3=8100.0), "several materials needs density_kg_m3 of each"),
-        (of_metals("NONE"), "NONE of strip.inp .thermal.material. holds none of its solid elements"),
-    ],
-)
-def test_materials_that_are_not_known_are_said(tmp_path, thermal, words):
-    warm, mesh = write_strip(tmp_path, ".inp")
-    with pytest.raises(UserError, match=words):
-        thermal_displacements(warm, "m", mesh, thermal)

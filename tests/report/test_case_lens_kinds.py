@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from study_text import controller, part
 from tests.recorded_studies import RECORDED
 
 import wavequake as wq
@@ -35,6 +36,19 @@ from wavequake.workflows.mirrors.bench import cases_of, trace_study_of
 from wavequake.workflows.segments.bench import MAS_PER_RAD, bench_of
 from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.launches import surface_states
+
+
+def traced_alone(file, rays, number, wavelength, sphere):
+    """Trace the rays of a telescope that hit a segment by its file; give which they are, and the light."""
+    again, mine = wq.load_system(file), np.flatnonzero(rays.segment == number)
+    slope = np.append(np.tan(again.fields[0]), 1.0)
+    ahead = (slope / np.linalg.norm(slope))[:, None] * np.ones(len(mine))
+    start = np.stack([rays.x[mine], rays.y[mine], np.zeros(len(mine))])
+    light = Rays(start, ahead, (ahead * start).sum(axis=0))
+    about = replace(moving(again, rest_states(again)), spheres=sphere)
+    found = trace_sequence_numpy(pack(again, wavelength), light, about)
+    assert (found.status == OK).all()
+    return mine, found
 
 
 def stored(name, folder, cases):
@@ -116,14 +130,7 @@ def test_each_segment_of_a_telescope_is_a_lens_file(tmp_path):
     paths, chief = np.full(len(x), np.nan), from_tiles(chief_rays(bench.prepared, states))[instant]
     sphere = np.array([[*chief[:2], 0.0, bench.prepared.train.sphere_radius]])
     for number, file in enumerate(files[:4]):
-        again, mine = wq.load_system(file), np.flatnonzero(rays.segment == number)
-        slope = np.append(np.tan(again.fields[0]), 1.0)
-        ahead = (slope / np.linalg.norm(slope))[:, None] * np.ones(len(mine))
-        start = np.stack([rays.x[mine], rays.y[mine], np.zeros(len(mine))])
-        light = Rays(start, ahead, (ahead * start).sum(axis=0))
-        about = replace(moving(again, rest_states(again)), spheres=sphere)
-        found = trace_sequence_numpy(pack(again, bench.prepared.wavelength), light, about)
-        assert (found.status == OK).all()
+        mine, found = traced_alone(file, rays, number, bench.prepared.wavelength, sphere)
         np.testing.assert_allclose(found.x[0], x[mine], rtol=0, atol=1e-9)
         np.testing.assert_allclose(found.y[0], y[mine], rtol=0, atol=1e-9)
         paths[mine] = found.path[0]
@@ -144,78 +151,30 @@ def test_segments_that_deform_and_kinds_without_surfaces_are_refused(tmp_path):
         export_case(store, tmp_path / "case.zmx", 0)
 
 
-TELESCOPE = """[study]
-name = "small"
-workflow = "telescope-{kind}"
-[telescope]
-name = "tmt-18"
-[imaging]
-pixels = 16
-[wavefront]
-zernike_terms = 15
-[[disturbance]]
-name = "all"
-model = "combine"
-of = ["mount", "segments", "tips"]
-instants = 20
-[[disturbance]]
-name = "tips"
-model = "static-random"
-tip_nrad = 20.0
-tilt_nrad = 20.0
-instants = 20
-[[disturbance]]
-name = "segments"
-model = "segment-history"
-peak_nm = 100.0
-duration_s = 0.1
-instants = 20
-[[disturbance]]
-name = "mount"
-model = "line-of-sight"
-act = "mount"
-rms_mas = 10.0
-duration_s = 0.1
-instants = 20
-[optics]
-"""
-EXPOSED = TELESCOPE.format(kind="exposure") + "rays_per_segment = 6\n"
-LOOP = (
-    TELESCOPE.format(kind="loop")
-    + """rays_per_segment = 6
-[look]
-traced = 2
-[[sensor]]
-name = "sight"
-model = "line-of-sight"
-rate_hz = 1000.0
-[[sensor]]
-name = "wavefront"
-model = "wavefront"
-rate_hz = 1000.0
-[[actuator]]
-name = "tilt"
-model = "m2-rigid"
-[[actuator]]
-name = "figure"
-model = "m2-figure"
-terms = 11
-[[controller]]
-name = "off"
-model = "off"
-[[controller]]
-name = "rigid"
-model = "integrator"
-sensor = "sight"
-actuator = "tilt"
-bandwidth_hz = 60.0
-[[controller]]
-name = "elastic"
-model = "perfect"
-sensor = "wavefront"
-actuator = "figure"
-modes = 10
-"""
+SHORT = {"duration_s": 0.1, "instants": 20}
+TELESCOPE = "".join(
+    [
+        '[study]\nname = "small"\nworkflow = "telescope-{kind}"\n[telescope]\nname = "tmt-18"\n',
+        "[imaging]\npixels = 16\n[wavefront]\nzernike_terms = 15\n[optics]\nrays_per_segment = 6\n",
+        part("disturbance", name="all", model="combine", of=["mount", "segments", "tips"], instants=20),
+        part("disturbance", name="tips", model="static-random", tip_nrad=20.0, tilt_nrad=20.0, instants=20),
+        part("disturbance", name="segments", model="segment-history", peak_nm=100.0, **SHORT),
+        part("disturbance", name="mount", model="line-of-sight", act="mount", rms_mas=10.0, **SHORT),
+    ]
+)
+EXPOSED = TELESCOPE.replace("{kind}", "exposure")
+LOOP = "".join(
+    [
+        TELESCOPE.replace("{kind}", "loop"),
+        "[look]\ntraced = 2\n",
+        part("sensor", name="sight", model="line-of-sight", rate_hz=1000.0),
+        part("sensor", name="wavefront", model="wavefront", rate_hz=1000.0),
+        part("actuator", name="tilt", model="m2-rigid"),
+        part("actuator", name="figure", model="m2-figure", terms=11),
+        controller("off", "off"),
+        controller("rigid", "integrator", "sight", "tilt", bandwidth_hz=60.0),
+        controller("elastic", "perfect", "wavefront", "figure", modes=10),
+    ]
 )
 
 
@@ -224,14 +183,7 @@ def wavefront_of(files, prepared):
     waves, rays = np.full(len(prepared.weight), np.nan), prepared.rays
     sphere = np.array([[*prepared.chief, 0.0, prepared.train.sphere_radius]])
     for number, file in enumerate(files):
-        again, mine = wq.load_system(file), np.flatnonzero(rays.segment == number)
-        slope = np.append(np.tan(again.fields[0]), 1.0)
-        ahead = (slope / np.linalg.norm(slope))[:, None] * np.ones(len(mine))
-        start = np.stack([rays.x[mine], rays.y[mine], np.zeros(len(mine))])
-        light = Rays(start, ahead, (ahead * start).sum(axis=0))
-        about = replace(moving(again, rest_states(again)), spheres=sphere)
-        found = trace_sequence_numpy(pack(again, prepared.wavelength), light, about)
-        assert (found.status == OK).all()
+        mine, found = traced_alone(file, rays, number, prepared.wavelength, sphere)
         waves[mine] = -found.path[0] / prepared.wavelength
     waves -= waves.mean()
     share = np.sqrt(prepared.weight)

@@ -3,29 +3,19 @@
 import small_mirrors
 import small_segments
 import small_telescope
-from small_system import PARABOLA
+from small_system import PARABOLA, hum
+from study_text import controller, part
 from tests.recorded import RECORDED
 
 from wavequake.workflows.study import load_study
 
-SYSTEM = (
-    PARABOLA
-    + """[optics]
-rays = 40
-[wavefront]
-zernike_terms = 6
-[[disturbance]]
-name = "hum"
-model = "surface-vibration"
-of = ["image"]
-instants = 7
-lines = [{ frequency_hz = 10.0, amplitude = { dy_um = 7.0, rx_urad = 5.0 } }]
-[[disturbance]]
-name = "sight"
-model = "line-of-sight"
-rms_mas = 50.0
-instants = 3
-"""
+SYSTEM = "\n".join(
+    [
+        PARABOLA,
+        "[optics]\nrays = 40\n[wavefront]\nzernike_terms = 6\n",
+        hum("image", 7, dy_um=7.0, rx_urad=5.0),
+        part("disturbance", name="sight", model="line-of-sight", rms_mas=50.0, instants=3),
+    ]
 )
 MIRROR = {**small_mirrors.TRACE, "time.duration_s": 0.002}
 MOR = {**small_mirrors.MOR, "time.duration_s": 0.002, "reduction.variants": ["craigb18"]}
@@ -70,27 +60,14 @@ LOOPS = {
 }
 LENS = {"time.duration_s": 2.0, "time.step_ms": 20.0, "bench.springs": ["initial"]}
 SEGMENTS = {"segments.disturbed": ["one"], "reduction.variants": ["modal12"], "excitation.sine.name": "hum"}
-STEERED = (
-    SYSTEM.replace("system-disturbance", "system-loop")
-    + """
-[[sensor]]
-name = "image"
-model = "line-of-sight"
-rate_hz = 500.0
-[[actuator]]
-name = "steer"
-model = "optic"
-of = "mirror"
-dofs = ["rx", "ry"]
-[[controller]]
-name = "off"
-model = "off"
-[[controller]]
-name = "loop"
-model = "integrator"
-sensor = "image"
-actuator = "steer"
-"""
+STEERED = "\n".join(
+    [
+        SYSTEM.replace("system-disturbance", "system-loop"),
+        part("sensor", name="image", model="line-of-sight", rate_hz=500.0),
+        part("actuator", name="steer", model="optic", of="mirror", dofs=["rx", "ry"]),
+        controller("off", "off"),
+        controller("loop", "integrator", "image", "steer"),
+    ]
 )
 # Study, changed keys, cases.
 SMALL = {

@@ -1,12 +1,15 @@
 """A study of eighteen segments that takes no time: random pistons at two instants."""
 
-STUDY = """
+HEAD = """
 [study]
 name = "tiny"
 workflow = "segment-disturbance"
 [telescope]
 name = "tmt-18"
-[imaging]
+"""
+STUDY = (
+    HEAD
+    + """[imaging]
 pixels = 16
 [store]
 chunk_cases = 4
@@ -16,3 +19,4 @@ model = "static-random"
 piston_nm = 20.0
 instants = 2
 """
+)

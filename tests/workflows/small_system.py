@@ -1,5 +1,7 @@
 """A parabola of 1 m; a small Cassegrain that is shaken, and loops that steer its M2."""
 
+from study_text import part
+
 PARABOLA = """
 [study]
 name = "parabola"
@@ -95,3 +97,10 @@ actuator = "steer"
 gain = 0.3
 """
 PERFECT = INTEGRATOR.replace("integrator", "perfect").replace("gain = 0.3\n", "")
+
+
+def hum(surface, instants, **amplitude):
+    """Return a vibration of a surface at 10 Hz."""
+    lines = [{"frequency_hz": 10.0, "amplitude": amplitude}]
+    keys = {"name": "hum", "model": "surface-vibration", "of": [surface]}
+    return part("disturbance", **keys, instants=instants, lines=lines)

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from small_pistons import HEAD
 from small_segments import text_of
 
 import wavequake as wq
@@ -24,13 +25,9 @@ from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 
-STUDY = """
-[study]
-name = "tiny"
-workflow = "segment-disturbance"
-[telescope]
-name = "tmt-18"
-[optics]
+STUDY = (
+    HEAD
+    + """[optics]
 rays_per_segment = 18
 [wavefront]
 zernike_terms = 11
@@ -40,6 +37,7 @@ enabled = false
 cases = 4
 device = "numpy"
 """
+)
 # As in small_segments.py.
 ELASTIC = """
 [segment]

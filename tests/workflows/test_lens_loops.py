@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from small_loops import table
+from study_text import controller, part
 from test_camera_lenses import CAMERA, through
 from test_custom_telescope import SQUARES
 
@@ -13,49 +14,19 @@ from wavequake.workflows.loops import telescope_loop
 from wavequake.workflows.loops.telescope_bench import bench_of
 from wavequake.workflows.study import load_study
 
-LOOP = """
-[[disturbance]]
-name = "history"
-model = "segment-history"
-peak_nm = 50.0
-instants = 200
-[[sensor]]
-name = "camera"
-model = "line-of-sight"
-noise = 0.01
-[[actuator]]
-name = "stage"
-model = "optic"
-of = "lens"
-dofs = ["dx", "dy"]
-resonance_hz = 400.0
-[[actuator]]
-name = "window"
-model = "optic"
-of = "cryostat"
-dofs = ["rx", "ry"]
-[[actuator]]
-name = "plate"
-model = "optic"
-of = "image"
-[[controller]]
-name = "off"
-model = "off"
-[[controller]]
-name = "perfect"
-model = "perfect"
-sensor = "camera"
-actuator = "stage"
-[[controller]]
-name = "lens"
-model = "integrator"
-sensor = "camera"
-actuator = "stage"
-bandwidth_hz = 100.0
-latency_frames = 0
-[look]
-traced = 4
-"""
+LOOP = "".join(
+    [
+        part("disturbance", name="history", model="segment-history", peak_nm=50.0, instants=200),
+        part("sensor", name="camera", model="line-of-sight", noise=0.01),
+        part("actuator", name="stage", model="optic", of="lens", dofs=["dx", "dy"], resonance_hz=400.0),
+        part("actuator", name="window", model="optic", of="cryostat", dofs=["rx", "ry"]),
+        part("actuator", name="plate", model="optic", of="image"),
+        controller("off", "off"),
+        controller("perfect", "perfect", "camera", "stage"),
+        controller("lens", "integrator", "camera", "stage", bandwidth_hz=100.0, latency_frames=0),
+        "[look]\ntraced = 4\n",
+    ]
+)
 
 
 def studied(tmp_path, old="", new=""):

@@ -269,6 +269,9 @@ def test_temperatures_of_a_mirror_change_its_radius_by_its_expansion(tmp_path):
             shallower = alpha * warmer * 2.5e-3 / (2 * np.sqrt(3))
             np.testing.assert_allclose(found.figure[0, 3], shallower, rtol=1e-3)
     assert "thermal" not in json.loads(loaded.identity_text())["disturbance"][0]
+    assert any(
+        "as in mirror.inp, in its units: GLASS has Poisson's ratio 0.33" in one for one in notices(loaded)
+    )
 
 
 @pytest.mark.parametrize(
@@ -279,7 +282,7 @@ def test_temperatures_of_a_mirror_change_its_radius_by_its_expansion(tmp_path):
             "thermal = { expansion_per_k = 1e-5, reference = 20 }\n",
             "name the key mesh, a deck with the elements",
         ),
-        ("thermal = { expansion = 1e-5 }\n", "thermal.expansion_per_k: field required"),
+        ("thermal = { expansion = 1e-5 }\n", "thermal.reference: field required"),
         (
             'thermal = { expansion_per_k = 1e-5, reference = 20 }\nmesh = "temperatures.csv"\n',
             "name unit, that of the mesh",

@@ -225,4 +225,5 @@ def _words(
         f"{part.surface} by {len(fit.nodes)} nodes: shifts by up to {shift * 1e6:.4g} um and turns by up to "
         f"{turn * 1e6:.4g} urad; of a figure of {whole:.4g} nm rms, {left:.3g} nm are no sum of "
         f"{part.terms} terms ({rest}; condition number {fit.condition:.3g}){bare}"
+        + (f"; materials {part.results.note}" if part.results.note else "")
     )

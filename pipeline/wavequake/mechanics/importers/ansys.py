@@ -24,11 +24,11 @@ def read_matrices(path: Path) -> Contents:
     UserError
         If ansys-mapdl-reader is not installed, or the file is no ``.full`` file.
     """
-    return _contents(library_arrays(path), path.name)
+    return _contents(library_arrays(path, ""), path.name)
 
 
-def library_arrays(path: Path) -> user_files.Arrays:
-    """Return what ansys-mapdl-reader reads of a file, see `ansys_reader`.
+def library_arrays(path: Path, what: str) -> user_files.Arrays:
+    """Return what ansys-mapdl-reader reads of a file: "displacements", "temperatures" or (empty) matrices.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def library_arrays(path: Path) -> user_files.Arrays:
         )
     user_files.require_file(path)
     try:
-        return _arrays(path)
+        return _arrays(path, what)
     except UserError as error:
         raise UserError(f"{path.name} cannot be read as an Ansys {path.suffix} file: {error}") from None
 
@@ -53,11 +53,11 @@ def _is_installed() -> bool:
         return False
 
 
-def _arrays(path: Path) -> user_files.Arrays:
+def _arrays(path: Path, what: str) -> user_files.Arrays:
     """Return what the library reads, in a process of its own, which a damaged file may end."""
     with TemporaryDirectory() as folder:
         out = Path(folder) / "matrices.npz"
-        code, said = run([str(path.resolve()), str(out), str(int(user_files.most_bytes()))])
+        code, said = run([str(path.resolve()), str(out), str(int(user_files.most_bytes())), what])
         if code > 0 or not out.exists():
             last = (said.splitlines() or [""])[-1] if code > 0 else ""
             raise UserError(last or f"its reader was ended by {signal.Signals(-code).name}")

@@ -1,8 +1,9 @@
 """Run ansys-mapdl-reader on one file, in a process of its own: ``python ansys_reader.py FILE OUT BYTES``.
 
 The library believes what a file says, and a damaged one ends its process. OUT becomes an .npz file of the
-degrees of freedom and both matrices of a .full file, or of the nodes and displacements of an .rst file; where
-there is none, the last line that is printed says why.
+degrees of freedom and both matrices of a .full file, or of the nodes and displacements of an .rst file (or
+temperatures, where a fourth word says so: to look for them ends the process in some files without them);
+where there is none, the last line that is printed says why.
 """
 
 import os
@@ -36,24 +37,28 @@ def read(file: str) -> dict[str, Any]:
     return found
 
 
-def read_results(file: str) -> dict[str, Any]:
-    """Return kind of analysis, values of the steps, nodes, and displacements (steps, nodes, 3)."""
+def read_results(file: str, what: str = "displacements") -> dict[str, Any]:
+    """Return kind of analysis, values of the steps, nodes, and displacements (steps, nodes, 3).
+
+    Or ``temperatures`` (steps, nodes), of a thermal analysis or those that load a structure.
+    """
     from ansys.mapdl import reader
 
     results = reader.read_binary(file)
-    labels, _ = results.nodal_displacement(0)
-    moved = [results.nodal_displacement(step)[1][:, :3] for step in range(results.n_results)]
+    ask = results.nodal_temperature if what == "temperatures" else results.nodal_displacement
+    labels, _ = ask(0)
+    found = [ask(step)[1] for step in range(results.n_results)]
     return {
         "analysis": np.array(results._resultheader["kan"]),
         "values": np.array(results.time_values, dtype=np.float64),
         "labels": np.asarray(labels, dtype=np.int64),
-        "displacements": np.array(moved, dtype=np.float64),
+        what: np.array([one[:, :3] if one.ndim == 2 else one for one in found], dtype=np.float64),
         "node_numbers": np.asarray(results.mesh.nnum, dtype=np.int64),
         "points": np.array(results.mesh.nodes, dtype=np.float64)[:, :3],
     }
 
 
-def main(file: str, out: str, most: int) -> None:
+def main(file: str, out: str, most: int, wanted: str) -> None:
     """Read a file with at most so many bytes of memory beyond those of the libraries, in bounded time."""
     try:
         import scipy.sparse  # noqa: F401 - takes memory of its own
@@ -63,11 +68,11 @@ def main(file: str, out: str, most: int) -> None:
             resource.setrlimit(what, (limit, resource.getrlimit(what)[1]))
         seconds = time.process_time() + _CPU_S + _CPU_S_PER_BYTE * os.path.getsize(file)
         resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), resource.getrlimit(resource.RLIMIT_CPU)[1]))
-        np.savez(out, **(read_results if file.lower().endswith(".rst") else read)(file))
+        np.savez(out, **(read_results(file, wanted) if wanted else read(file)))
     except Exception as error:  # the library raises whatever its parser trips over
         print(str(error) or type(error).__name__)
         sys.exit(1)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2], int(sys.argv[3]))
+    main(sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4])

@@ -63,7 +63,7 @@ def read_deck(path: Path) -> Read:
     members: dict[str, list[Integers]] = {}
     own: dict[str, list[Integers]] = {}
     element_sets: dict[str, list[Integers]] = {}
-    for keyword, options, data, line in _blocks(path):
+    for keyword, options, data, line in blocks(path):
         if keyword == "NODE" and data:
             table = _padded(data, path.name, line)
             labels.append(whole(table[:, 0], path.name))
@@ -99,9 +99,15 @@ def read_deck(path: Path) -> Read:
     )
 
 
-def _blocks(path: Path) -> list[Block]:
-    """Split a deck into its keyword blocks, includes in place."""
-    blocks: list[Block] = []
+def blocks(path: Path) -> list[Block]:
+    """Return the keyword blocks of a deck, includes in place.
+
+    Raises
+    ------
+    UserError
+        If a file cannot be read or is cut off.
+    """
+    found: list[Block] = []
     keyword, options, data, first = "", dict[str, str](), list[bytes](), 0
     for number, line in enumerate(read_bytes(path).split(b"\n"), 1):
         text = line.strip()
@@ -110,19 +116,19 @@ def _blocks(path: Path) -> list[Block]:
         if not text.startswith(b"*"):
             data.append(text)
             continue
-        blocks.append((keyword, options, b"\n".join(data), first))
+        found.append((keyword, options, b"\n".join(data), first))
         words = [word.strip() for word in text[1:].decode(errors="replace").split(",")]
         pairs = [word.partition("=") for word in words[1:]]
         options = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
         options |= {key: value.upper() for key, value in options.items() if key != "INPUT"}
         keyword, data, first = words[0].upper(), [], number + 1
         if keyword == "INCLUDE" and options.get("INPUT"):
-            blocks += _blocks(path.parent / options["INPUT"])
+            found += blocks(path.parent / options["INPUT"])
     if text and not text.startswith(b"*"):  # a number that is cut off may still read as one
         raise UserError(
             f"{path.name}, line {number} has no end: the file is cut off, or its last line needs an end"
         )
-    return [*blocks, (keyword, options, b"\n".join(data), first)]
+    return [*found, (keyword, options, b"\n".join(data), first)]
 
 
 def _kind(name: str) -> tuple[str, int]:

@@ -22,8 +22,9 @@ READERS: dict[str, Callable[[Path], Written]] = {
     ".op2": op2.read_op2,
     ".frd": frd.read_frd,
     ".rst": rst.read_rst,
+    ".rth": rst.read_temperatures,
 }
-FORMATS = ".csv, .npz, .txt (Zemax STAR), .op2 (Nastran), .frd (CalculiX) or .rst (Ansys)"
+FORMATS = ".csv, .npz, .txt (Zemax STAR), .op2 (Nastran), .frd (CalculiX) or .rst, .rth (Ansys)"
 _CARDS = (".bdf", ".nas", ".fem", ".dat")
 
 
@@ -41,6 +42,8 @@ class NodalResults:
         m.
     motions : ndarray, shape (n, p, 3) or (n, p, 6)
         m, and rotations in rad; of modes in the file's own scale, displacements times its unit of length.
+    note : str
+        What a user may want to know of where they are from.
     """
 
     kind: Kind
@@ -48,6 +51,7 @@ class NodalResults:
     labels: Integers
     points: Array
     motions: Array
+    note: str = ""
 
 
 def read_written(path: Path) -> Written:

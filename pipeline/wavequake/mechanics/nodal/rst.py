@@ -1,4 +1,7 @@
-"""Displacements and modes in Ansys' results (``.rst``), through the optional package ansys-mapdl-reader."""
+"""Displacements, modes and temperatures in Ansys' results, through the optional package ansys-mapdl-reader.
+
+``.rst`` of structures, ``.rth`` of thermal analyses.
+"""
 
 from pathlib import Path
 
@@ -19,14 +22,33 @@ def read_rst(path: Path) -> Written:
     UserError
         If ansys-mapdl-reader is not installed, the file is no such file, or of another analysis.
     """
-    arrays = library_arrays(path)
+    return _read(path, "displacements")
+
+
+def read_temperatures(path: Path) -> Written:
+    """Return nodes, and temperatures per load step or instant; those amid edges may be missing.
+
+    Raises
+    ------
+    UserError
+        As `read_rst`, or if it has none.
+    """
+    return _read(path, "temperatures")
+
+
+def _read(path: Path, what: str) -> Written:
+    arrays = library_arrays(path, what)
     kind = _KINDS.get(int(arrays["analysis"]))
     if kind is None:
         raise UserError(f"{path.name} holds no static, modal or transient analysis of Ansys")
-    steps = [
-        Step(kind, number + 1, float(value), arrays["labels"], one)
-        for number, (value, one) in enumerate(zip(arrays["values"], arrays["displacements"], strict=True))
-    ]
-    kept = np.isfinite(arrays["displacements"]).all(axis=(0, 2))
-    steps = [Step(one.kind, one.number, one.value, one.labels[kept], one.values[kept]) for one in steps]
-    return Written(path.name, tuple(steps), arrays["node_numbers"], arrays["points"])
+    found = np.atleast_3d(arrays[what])
+    if found.shape[2] == 2:
+        raise UserError(f"{path.name} holds a plane model, whose nodes move in x and y alone")
+    kept = np.isfinite(found).all(axis=(0, 2))
+    if not kept.any():
+        raise UserError(f"{path.name} has no {what} of nodes")
+    steps = tuple(
+        Step(kind, number, float(value), arrays["labels"][kept], one[kept])
+        for number, (value, one) in enumerate(zip(arrays["values"], found, strict=True), start=1)
+    )
+    return Written(path.name, steps, arrays["node_numbers"], arrays["points"])

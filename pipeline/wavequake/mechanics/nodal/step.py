@@ -42,7 +42,7 @@ class Written:
     """What a file holds.
 
     ``points`` (N, 3) of the nodes ``labels`` (N,) are in ``length`` m, or None where the file does not know
-    them. Of a file that does not say its unit, ``length`` is None.
+    them. Of a file that does not say its unit, ``length`` is None. ``note`` says where numbers are from.
     """
 
     source: str
@@ -50,3 +50,4 @@ class Written:
     labels: Integers | None = None
     points: Array | None = None
     length: float | None = None
+    note: str = ""

@@ -204,6 +204,10 @@ def read_arrays(path: Path) -> Written:
 
 def from_arrays(found: user_files.Arrays, source: str) -> Written:
     """Return what arrays hold, see `read_arrays`."""
+    note = found.get("note", np.array(""))
+    if note.dtype.kind != "U" or note.ndim:
+        raise UserError("'note' is no text")
+    found = {name: values for name, values in found.items() if name != "note"}
     given = "temperatures_c" if "temperatures_c" in found else "displacements_um"
     known = ("nodes_mm", given, "time_s", "node_numbers", "cases")
     for name in ("nodes_mm", given, *found):
@@ -243,16 +247,17 @@ def from_arrays(found: user_files.Arrays, source: str) -> Written:
         )
         for row, (number, one) in enumerate(zip(cases.tolist(), moved, strict=True))
     ]
-    return Written(source, tuple(steps), labels, points * 1e-3, 1.0)
+    return Written(source, tuple(steps), labels, points * 1e-3, 1.0, str(note))
 
 
-def packed(over_time: bool, values: Array, points: Array, displacements: Array) -> bytes:
+def packed(over_time: bool, values: Array, points: Array, displacements: Array, note: str = "") -> bytes:
     """Return an ``.npz`` of `read_arrays` of points (p, 3) and displacements (n, p, 3) in m.
 
-    ``values`` (n,) are instants, or else the numbers of load cases.
+    ``values`` (n,) are instants, or else the numbers of load cases; ``note`` says where they are from.
     """
     out = io.BytesIO()
     arrays: dict[str, Any] = {"nodes_mm": points * 1e3, "displacements_um": displacements * 1e6}
     arrays["time_s" if over_time else "cases"] = values
+    arrays |= {"note": np.array(note)} if note else {}
     np.savez_compressed(out, **arrays)
     return out.getvalue()

@@ -24,15 +24,8 @@ from wavequake.workflows.exposures.telescope_exposure import controlled_blocks, 
 from wavequake.workflows.loops import system_loop, telescope_bench, telescope_light, telescope_loop
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
+from wavequake.workflows.mirrors import bench as mirrors
 from wavequake.workflows.mirrors.base import driven
-from wavequake.workflows.mirrors.bench import (
-    bench_of,
-    cases_of,
-    drive_at,
-    time_of,
-    trace_study_of,
-    variant_of,
-)
 from wavequake.workflows.mirrors.optics import displacements_mm, with_deformation
 from wavequake.workflows.mirrors.residual import coordinates_of, grid_of, left_by
 from wavequake.workflows.segments.bench import bench_of as segment_bench
@@ -117,13 +110,13 @@ def _of_loop(study: str, case: int, under: str) -> tuple[OpticalSystem, SystemSt
 
 def _of_mirror(text: str, case: int, under: str) -> tuple[OpticalSystem, SystemStates]:
     """Return the figure of an excited mirror as it is traced: polynomials, and on a grid what they leave."""
-    study = trace_study_of(text)
+    study = mirrors.trace_study_of(text)
     excitation = study.excitation[_named(under, [one.name for one in study.excitation], "excitation")]
-    model, variant = cases_of(study)[case]
-    bench = bench_of(text, model)
-    reduced, optics = variant_of(bench, variant), bench.optics
-    held, drive = driven(reduced, drive_at(excitation, reduced, study), excitation.name)
-    response = respond(modal_model(held, drive.prescribed), [drive], time_of(study))
+    model, variant = mirrors.cases_of(study)[case]
+    bench = mirrors.bench_of(text, model)
+    reduced, optics = mirrors.variant_of(bench, variant), bench.optics
+    held, drive = driven(reduced, mirrors.drive_at(excitation, reduced, study), excitation.name)
+    response = respond(modal_model(held, drive.prescribed), [drive], mirrors.time_of(study))
     coordinates = coordinates_of(response)
     motion, left = motion_fit(optics.surface, displacements_mm(reduced.surface.T)), left_by(optics, reduced)
     numbers, system = figures(motion, coordinates), optics.prepared.system

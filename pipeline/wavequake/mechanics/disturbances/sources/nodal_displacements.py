@@ -19,7 +19,8 @@ from wavequake.mechanics.disturbances.source import Optics, Randoms, Source, reg
 from wavequake.mechanics.disturbances.sources.element_history import own_axis
 from wavequake.mechanics.nodal.results import FORMATS, NodalResults, read_results
 from wavequake.mechanics.nodal.tables import COLUMNS, from_arrays, packed
-from wavequake.mechanics.nodal.temperatures import Thermal, thermal_displacements, thermal_of
+from wavequake.mechanics.nodal.temperatures import thermal_displacements
+from wavequake.mechanics.nodal.thermal import Thermal, thermal_of
 from wavequake.prepared import prepared
 from wavequake.user_files import read_npz
 
@@ -176,7 +177,7 @@ class NodalDisplacements(Source):
                 f"{MOST_NUMBERS} are possible: leave out nodes or steps"
             )
         text = base64.b64encode(
-            packed(found.kind == "time", found.values, found.points, found.motions[..., :3])
+            packed(found.kind == "time", found.values, found.points, found.motions[..., :3], found.note)
         ).decode()
         if len(text) > MOST_TEXT:
             raise UserError(
@@ -213,4 +214,4 @@ def read_embedded(text: str) -> NodalResults:
     assert written.points is not None
     kind = written.steps[0].kind
     values = np.array([step.value if kind == "time" else step.number for step in written.steps], dtype=float)
-    return NodalResults(kind, values, written.labels, written.points, motions)
+    return NodalResults(kind, values, written.labels, written.points, motions, written.note)
