@@ -13,6 +13,7 @@ from scipy.interpolate import LinearNDInterpolator
 import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.optics.segments.kinematics import segment_poses
+from wavequake.viewer import encode as encoding
 from wavequake.viewer import segments
 from wavequake.viewer.encode import LIMIT, Blocks, encode
 from wavequake.viewer.film import Film, Stage, Take, displacements, principal
@@ -164,6 +165,29 @@ def test_what_is_too_large_is_left_out_and_said():
     assert blocks.size < LIMIT
     assert json.loads(text)["notes"][0].startswith("1 of ")
     assert len(render_film(Film("large", "store", (stage,), takes[:1]))) < LIMIT
+
+
+def test_the_first_cases_that_fit_are_shown_and_each_is_packed_once(monkeypatch):
+    bodies = 4500  # 1.44 MB each: six fit
+    stage = Stage(
+        np.eye(3),
+        np.array([[0, 1, 2]]),
+        np.zeros(3, dtype=int),
+        ("red",),
+        tuple(map(str, range(bodies))),
+        np.zeros((bodies, 3)),
+        np.broadcast_to(np.eye(3), (bodies, 3, 3)),
+    )
+    noise = np.random.default_rng(3).uniform(-1.0, 1.0, (9, 20, bodies, 6))
+    takes = tuple(Take(f"case {k}", np.arange(20.0), poses=one) for k, one in enumerate(noise))
+    packed, pack = [], encoding._take
+    monkeypatch.setattr(encoding, "_take", lambda *given: packed.append(given[1]) or pack(*given))
+    record = json.loads(encode(Film("long", "store", (stage,), takes))[0])
+    shown = len(record["takes"])
+    assert [one["label"] for one in record["takes"]] == [f"case {k}" for k in range(shown)]
+    assert 0.96 * LIMIT / (shown + 1) < 20 * bodies * 6 * 2 * 4 / 3 < LIMIT / shown
+    assert record["notes"] == [f"{9 - shown} of 9 cases did not fit into 10 MB"]
+    assert len(packed) == shown + 1
 
 
 def test_names_are_shown_and_not_obeyed():

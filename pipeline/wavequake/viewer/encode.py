@@ -56,18 +56,12 @@ def encode(film: Film) -> tuple[str, Blocks]:
     Where the page would be larger than 10 MB, every second image is left out, again and again, then the last
     takes; the description says so.
     """
-    every, takes = 1, film.takes
-    while True:
-        blocks = Blocks()
-        stages = [_stage(stage, blocks) for stage in film.stages]
-        said = [_take(film.stages[take.stage], take, blocks, every) for take in takes]
-        if blocks.size < 0.96 * LIMIT or (every > 16 and len(takes) < 2):
-            break
-        if every <= 16 and any(take.images is not None for take in takes):
-            every *= 2
-        else:
-            takes = takes[:-1]
-    left_out = len(film.takes) - len(takes)
+    every, with_images = 1, any(take.images is not None for take in film.takes)
+    stages, said, blocks = _fitting(film, every)
+    while len(said) < len(film.takes) and with_images and every <= 16:
+        every *= 2
+        stages, said, blocks = _fitting(film, every)
+    left_out = len(film.takes) - len(said)
     notes = [f"1 of {every} images is shown"] if every > 1 else []
     notes += [f"{left_out} of {len(film.takes)} cases did not fit into 10 MB"] if left_out else []
     record = {
@@ -81,6 +75,19 @@ def encode(film: Film) -> tuple[str, Blocks]:
     return json.dumps(_shown(record), separators=(",", ":"), ensure_ascii=True).replace(
         "<", "\\u003c"
     ), blocks
+
+
+def _fitting(film: Film, every: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]], Blocks]:
+    """Return stages of a film, its first takes that fit into a page, one at least, and their arrays."""
+    blocks, said = Blocks(), list[dict[str, Any]]()
+    stages = [_stage(stage, blocks) for stage in film.stages]
+    for take in film.takes:
+        before = Blocks(dict(blocks.texts), dict(blocks.names))
+        one = _take(film.stages[take.stage], take, blocks, every)
+        if said and blocks.size >= 0.96 * LIMIT:
+            return stages, said, before
+        said.append(one)
+    return stages, said, blocks
 
 
 def _shown(value: Any) -> Any:
