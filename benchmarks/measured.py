@@ -35,8 +35,7 @@ def main() -> None:
     tests = sys.argv[1:] or named_tests()
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report"
-        # Rewritten tests are kept apart: those of usual runs do not tell of comparisons that hold.
-        surroundings = os.environ | {"PYTHONPYCACHEPREFIX": folder, REPORT: str(report)}
+        surroundings = os.environ | {REPORT: str(report)}
         options = ["-p", "benchmarks._comparisons", "-o", "enable_assertion_pass_hook=true", "-q"]
         code = subprocess.run(
             [sys.executable, "-m", "pytest", *options, *tests], cwd=ROOT, env=surroundings, check=False

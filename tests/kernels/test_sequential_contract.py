@@ -25,7 +25,6 @@ from wavequake.optics.shapes.polygons import edge_spans
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]
-NAMES = {"argvalues": OPENCL, "ids": lambda device: f"{device.kind}-{device.vector_width}"}
 INSTANTS, RAYS = 3, 45
 
 # What the elements of a system are made of; each system is one kernel, in which every third index is 1.
@@ -124,18 +123,19 @@ def random_system(descriptions, seed, scale):
     return Sequence(elements, 1.0 if len(elements) % 2 else 1.8), rays, moving
 
 
-@pytest.mark.parametrize("device", **NAMES)
+@pytest.mark.skipif(not OPENCL, reason="there is no device of OpenCL")
 @pytest.mark.parametrize("name", sorted(SYSTEMS))
 @given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([0.0, 1e-8, 1e-4, 1e-2, 0.1]))
-def test_the_kernel_agrees_with_its_twin_on_random_systems(device, name, seed, scale):
+def test_the_kernel_agrees_with_its_twin_on_random_systems(name, seed, scale):
     arguments = random_system(SYSTEMS[name], seed, scale)
-    traced, expected = (trace_sequence(*arguments, where) for where in (device, NUMPY))
-    np.testing.assert_array_equal(traced.status, expected.status)
-    np.testing.assert_array_equal(traced.surface, expected.surface)
-    np.testing.assert_array_equal(traced.w_sign, expected.w_sign)
-    np.testing.assert_array_equal(traced.vignetted, expected.vignetted)
-    for key in ("path", "x", "y", "u", "v"):
-        np.testing.assert_allclose(getattr(traced, key), getattr(expected, key), rtol=0.0, atol=1e-9)
+    expected = trace_sequence(*arguments, NUMPY)
+    for device in OPENCL:
+        traced, said = trace_sequence(*arguments, device), f"{device.kind}-{device.vector_width}"
+        for key in ("status", "surface", "w_sign", "vignetted"):
+            np.testing.assert_array_equal(getattr(traced, key), getattr(expected, key), said)
+        for key in ("path", "x", "y", "u", "v"):
+            found, wanted = getattr(traced, key), getattr(expected, key)
+            np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9, err_msg=said)
 
 
 def test_the_random_systems_lose_rays_in_every_way():

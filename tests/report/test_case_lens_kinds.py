@@ -18,9 +18,10 @@ from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
 from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import segment_rays
 from wavequake.optics.segments.alone import segment_systems
 from wavequake.optics.segments.catalog import telescope as catalog_telescope
-from wavequake.optics.segments.prepared import chief_rays, trace_states
+from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.segments.states import rest
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.fits import fit_instants
@@ -140,12 +141,45 @@ def test_each_segment_of_a_telescope_is_a_lens_file(tmp_path):
     np.testing.assert_allclose(away - away.mean(), 0.0, rtol=0, atol=1e-5)
 
 
-def test_segments_that_deform_and_kinds_without_surfaces_are_refused(tmp_path):
-    telescope = catalog_telescope("tmt-18")
-    states = rest(TILE, 18, len(telescope.surfaces), 6)
-    states.segment_figure[0, 3, 4] = 1e-6
-    with pytest.raises(UserError, match="deform, each about its own center"):
+@pytest.mark.parametrize(("name", "terms", "some"), [("tmt-18", 21, (0, 7, 17)), ("elt", 15, (0, 400, 797))])
+def test_segments_that_deform_are_lens_files(tmp_path, name, terms, some):
+    """Polynomials about their centers, moved with them, beside the telescope's own trace of them."""
+    telescope = catalog_telescope(name)
+    prepared = prepare(telescope, segment_rays(telescope.segments, 3), 550e-6, 15, terms)
+    states = rest(TILE, len(telescope.segments), len(telescope.surfaces), terms)
+    random = np.random.default_rng(5)
+    states.segment_motion[0] = random.normal(size=(len(telescope.segments), 6)) * ([1e-3] * 3 + [1e-7] * 3)
+    states.segment_figure[0] = random.normal(size=(len(telescope.segments), terms)) * 5e-5
+    truth = trace_states(prepared, states, NUMPY)
+    bare = trace_states(prepared, replace(states, segment_figure=0.0 * states.segment_figure), NUMPY)
+    parts = dict(segment_systems(telescope, states, 0, [prepared.wavelength]))
+    assert list(parts) == list(telescope.segments.names)
+    x, y, opd, still = (from_tiles(one)[0] for one in (truth.x, truth.y, truth.opd, bare.opd))
+    chief = from_tiles(chief_rays(prepared, states))[0]
+    sphere = np.array([[*chief[:2], 0.0, prepared.train.sphere_radius]])
+    for number in some:
+        file = wq.write_zmx(parts[telescope.segments.names[number]], tmp_path / "one.zmx")
+        again, mine = wq.load_system(file), np.flatnonzero(prepared.rays.segment == number)
+        start = np.stack([prepared.rays.x[mine], prepared.rays.y[mine], np.zeros(len(mine))])
+        ahead = np.array([[0.0], [0.0], [1.0]]) * np.ones(len(mine))
+        about = replace(moving(again, rest_states(again)), spheres=sphere)
+        found = trace_sequence_numpy(
+            pack(again, prepared.wavelength), Rays(start, ahead, 0 * start[2]), about
+        )
+        assert (found.status == OK).all()
+        np.testing.assert_allclose(found.x[0], x[mine], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.y[0], y[mine], rtol=0, atol=1e-9)
+        away = (found.path[0] + opd[mine]) / prepared.wavelength
+        np.testing.assert_allclose(away - away.mean(), 0.0, rtol=0, atol=1e-5)
+        assert (opd - still)[mine].std() > 1e-4 * prepared.wavelength
+    states.segment_figure[0] *= 1e3
+    states = replace(states, segment_figure=np.pad(states.segment_figure, ((0, 0), (0, 0), (0, 45 - terms))))
+    states.segment_figure[0, -1, -1] = 1.0
+    with pytest.raises(UserError, match="about the vertex of M1, as lens files have them, they drown in"):
         list(segment_systems(telescope, states, 0, [550e-6]))
+
+
+def test_kinds_without_surfaces_are_refused(tmp_path):
     store = stored("lens-passive", tmp_path, 1)
     with pytest.raises(UserError, match="lens-passive, of whose cases no lens files are made"):
         export_case(store, tmp_path / "case.zmx", 0)

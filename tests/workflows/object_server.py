@@ -7,7 +7,7 @@ without a word holds nobody up.
 
 from threading import Lock
 
-from moto.server import DomainDispatcherApplication, create_backend_app
+from moto.server import create_backend_app
 from werkzeug.serving import WSGIRequestHandler, make_server
 
 
@@ -28,7 +28,7 @@ def one_at_a_time(answer):
 
 
 if __name__ == "__main__":
-    app = one_at_a_time(DomainDispatcherApplication(create_backend_app))
+    app = one_at_a_time(create_backend_app("s3"))  # with all of AWS, it would look for each request's service
     server = make_server("127.0.0.1", 0, app, threaded=True, request_handler=Quiet)
     print(server.server_port, flush=True)
     server.serve_forever()

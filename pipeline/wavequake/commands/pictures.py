@@ -27,7 +27,7 @@ def complete_name(beginning: str) -> list[str]:
 WhatArgument = Annotated[
     str,
     typer.Argument(
-        help="Optical system, telescope or study by name, FILE.zmx, or a study by path.",
+        help="Optical system, telescope or study by name, a lens file, study or finite-element file.",
         autocompletion=complete_name,
     ),
 ]

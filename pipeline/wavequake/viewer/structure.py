@@ -41,23 +41,6 @@ def nodes_of(members: Sequence[tuple[str, str, str, float]]) -> list[str]:
     return list(dict.fromkeys(name for first, second, *_ in members for name in (first, second)))
 
 
-def watching(plant: Plant, nodes: Sequence[str]) -> Plant:
-    """Return a plant that gives the motions of nodes, in the system's axes, by their names beside.
-
-    A node without rotations of its own does not turn.
-    """
-    outputs, rows, first = dict(plant.outputs), [plant.shapes], len(plant.shapes)
-    carried = [plant.carried]
-    for name in nodes:
-        outputs["rigid", name] = slice(first, first + 6)
-        for group in plant.places[name]:
-            none = slice(0, 3) if group is None else group
-            rows.append((group is not None) * plant.modal.inputs[:, none].T)
-            carried.append((group is not None) * plant.followed[none])
-        first += 6
-    return replace(plant, outputs=outputs, shapes=np.vstack(rows), carried=np.vstack(carried))
-
-
 def with_members(
     stage: Stage, plant: Plant, members: Sequence[tuple[str, str, str, float]], nodes: Sequence[str]
 ) -> Stage:

@@ -9,13 +9,14 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.store.store import Manifest
 from wavequake.drawing.solid import system_scene
+from wavequake.mechanics.assembly.answers import watching
 from wavequake.mechanics.disturbances.element_motion import ElementMotion
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.system import SystemStates
 from wavequake.viewer.chosen import worst_cases
 from wavequake.viewer.film import Array, Stage, Take, principal, stage_of
-from wavequake.viewer.structure import members_of, nodes_of, watching, with_members
+from wavequake.viewer.structure import members_of, nodes_of, with_members
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.systems.bench import MM_PER_M, SystemBench, system_bench, system_states
 from wavequake.workflows.systems.draws import drawn_with
@@ -94,7 +95,8 @@ def _take(
     nodes: Sequence[str] = (),
 ) -> Take:
     population, realization, model = slot_of(bench.study, case)
-    drawn = drawn_with(bench, population, realization, model, watched=partial(watching, nodes=nodes))
+    watched = partial(watching, nodes={name: name for name in nodes})
+    drawn = drawn_with(bench, population, realization, model, watched=watched)
     label = f"{population.name}, case {case}" + (f", {model}" if bench.study.reduction else "")
     return take_of(bench, dataset.sel(case=case), drawn, label, stage, surfaces, nodes)
 

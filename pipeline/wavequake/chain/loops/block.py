@@ -136,6 +136,11 @@ class Actuator(Section):
         """Degrees of freedom (0 to 5: dx ... rz) in which it moves every segment of M1."""
         return ()
 
+    @property
+    def carried_kg(self) -> float | None:
+        """Mass of each thing that it moves, which pushes back what carries that; None: not known."""
+        return None
+
     @abstractmethod
     def channels(self, light: Light) -> tuple[str, ...]:
         """Return the names of its p channels."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from wavequake.control.sampled.channel import Dynamics, Timing, in_series
@@ -13,6 +14,8 @@ Array = NDArray[np.float64]
 # Motions that act less apart than this, as a share of one of them alone, are not told apart.
 _APART = 1e-6
 _ROUNDING = 1e-9
+# Channels that a sentence names.
+_NAMED = 4
 
 
 @dataclass(frozen=True)
@@ -147,22 +150,35 @@ def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> 
     if not sizes.all():
         channel = asked.channels[int(np.flatnonzero(sizes == 0)[0])]
         raise UserError(
-            f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all, not even when it "
-            "stands (static); take a sensor that does, or leave the channel out."
+            f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all, not at 0 Hz, where "
+            "it stands, either; take a sensor that does, or leave the channel out."
         )
     left, values, right = np.linalg.svd(asked.sees / sizes, full_matrices=False)
     count = len(sizes)
     rank = int((values > _APART * values[0]).sum())
     if modes is None and rank < count:
-        # Of what is not seen, the channel that takes the largest part.
-        seen = right[:rank]
-        channel = asked.channels[int((1 - (seen**2).sum(axis=0)).argmax())]
         raise UserError(
             f"{where} tells {rank} of {count} motions of the actuator {asked.actuator!r} apart, so that "
-            f"{channel!r} is not determined where it stands (static); set modes = {rank}, or take another "
+            f"{_undetermined(asked, right[:rank])} not determined; set modes = {rank}, or take another "
             "sensor."
         )
     kept = rank if modes is None else modes
     if kept > rank:
         raise UserError(f"{where} tells {rank} motions of {asked.actuator!r} apart, not modes = {kept}.")
     return np.asarray((right[:kept].T / values[:kept]) @ left[:, :kept].T / sizes[:, None])
+
+
+def _undetermined(asked: Design, seen: Array) -> str:
+    """Name the channels that what is seen, orthonormal motions (rank, p), leaves open, and their frequencies.
+
+    With these held all others are determined: they are the first pivots of what is not seen. Where channels
+    stand no actuator has dynamics: that is at 0 Hz, beside the resonances or corners by which they follow.
+    """
+    left = len(asked.channels) - len(seen)
+    hidden = np.eye(len(asked.channels)) - seen.T @ seen
+    order = scipy.linalg.qr(hidden, mode="r", pivoting=True)[1][:left]
+    named = [repr(asked.channels[place]) for place in sorted(order)]
+    hertz = sorted({f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in np.linalg.eigvals(asked.follows.a)})
+    more = f" and {left - _NAMED} more" if left > _NAMED else ""
+    at = "at 0 Hz" + (f" (its own dynamics: {', '.join(hertz)})" if hertz else "")
+    return f"{', '.join(named[:_NAMED])}{more} {'is' if left == 1 else 'are'}, {at},"

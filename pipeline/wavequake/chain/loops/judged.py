@@ -195,11 +195,11 @@ def refuse_saturated(study: LoopBlocks, optics: Sighted, seen: Mapping[str, tupl
 
 
 def strongest(time: Array, motion: Array) -> str:
-    """Say whether a motion (n,) at instants stands, mostly, or at which frequency there is most of it."""
+    """Say at which frequency there is most of a motion (n,) at instants: 0 Hz where it stands, mostly."""
     even = np.linspace(time[0], time[-1], len(time))
     values = np.interp(even, time, motion)
     if values.mean() ** 2 >= values.var():
-        return "static"
+        return "most at 0 Hz, where it stands"
     sizes = np.abs(np.fft.rfft(values)) ** 2
     if len(even) % 2 == 0:
         sizes[-1] /= 2.0  # of the fastest there is no negative frequency

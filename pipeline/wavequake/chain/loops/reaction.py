@@ -4,7 +4,7 @@ A stage moves its load by p against what carries it, so that all that stands mov
 ``M q'' + D q' + K q = -T' m p''``, where M holds the load at rest, and T is the motion of the load with q.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.vibration.modal import ModalModel
 
 _COUPLED = 1e-12
+_NANO = 1e-9
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,37 @@ class Recoil:
     dynamics: tuple[Dynamics, ...]
     outward: Array
     inward: Array
+
+
+@dataclass(frozen=True)
+class Pushing:
+    """Modes of bodies that stages push, in nm and root of kg.
+
+    Attributes
+    ----------
+    names : tuple of str
+    dynamics : tuple of Dynamics
+    outputs : ndarray, shape (m, M)
+        Of the plant, m and rad, per mode.
+    drives : mapping of str to ndarray, shape (M, p)
+        Of stages that push.
+    """
+
+    names: tuple[str, ...]
+    dynamics: tuple[Dynamics, ...]
+    outputs: Array
+    drives: Mapping[str, Array]
+
+
+def pushed_by(plant: Plant, loads: Mapping[str, Array]) -> Pushing:
+    """Return how a plant answers stages, by loads (r + f, p) of its coordinates per position, times s^2."""
+    found = recoil_of(plant)
+    return Pushing(
+        found.names,
+        found.dynamics,
+        _NANO * coordinates(plant) @ found.outward,
+        {name: found.inward @ load / _NANO for name, load in loads.items()},
+    )
 
 
 def coordinates(plant: Plant) -> Array:

@@ -1,6 +1,7 @@
 """What a plant answers: steady vibration at given frequencies, and static sag under gravity. SI units."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,3 +99,23 @@ def moved(plant: Plant, values: Array) -> tuple[dict[str, Array], dict[str, Arra
         for wanted in ("rigid", "figure")
     )
     return rigid, figure
+
+
+def watching(plant: Plant, nodes: Mapping[str, str]) -> Plant:
+    """Return a plant that gives the motions of nodes, in the system's axes, as "rigid" outputs beside.
+
+    `nodes` are ``body.node`` by what their outputs are called. A node without rotations of its own does not
+    turn.
+    """
+    outputs, first = dict(plant.outputs), len(plant.shapes)
+    shapes, carried, free = [plant.shapes], [plant.carried], [plant.free]
+    for name, node in nodes.items():
+        outputs["rigid", name] = slice(first, first + 6)
+        for group in plant.places[node]:
+            none = slice(0, 3) if group is None else group
+            shapes.append((group is not None) * plant.modal.inputs[:, none].T)
+            carried.append((group is not None) * plant.followed[none])
+            free.append((group is not None) * plant.adrift[none])
+        first += 6
+    moved = np.vstack(shapes), np.vstack(carried), np.vstack(free)
+    return replace(plant, outputs=outputs, shapes=moved[0], carried=moved[1], free=moved[2])

@@ -58,6 +58,8 @@ class Plant:
         ones, or those of another plant with which it is compared, so that both are shaken alike.
     free : ndarray, shape (m, f)
         Rows of the outputs per free motion of unit modal mass, of what floats.
+    adrift : ndarray, shape (p, f)
+        Motion of the inputs' nodes per free motion.
     """
 
     modal: ModalModel
@@ -71,6 +73,7 @@ class Plant:
     held: tuple[str, ...]
     resonances: Array
     free: Array
+    adrift: Array
 
     @property
     def omega(self) -> Array:
@@ -118,7 +121,7 @@ def plant(
         raise
     if modal.free.sum() != (0 if grounded else 6):
         _require_support(model, chosen, grounded, name)
-    free = np.asarray(model.surface @ modal.modes[:, modal.free])
+    free, adrift = (np.asarray(rows @ modal.modes[:, modal.free]) for rows in (model.surface, model.inputs.T))
     modal = _elastic(modal, damping_ratio)
     places, points = _nodes(chosen)
     return Plant(
@@ -133,6 +136,7 @@ def plant(
         tuple(body.name for body in bodies if body.held),
         np.array([omega := np.sqrt(modal.squared), 0.5 * np.diag(modal.damping) / omega]),
         free,
+        adrift,
     )
 
 

@@ -44,14 +44,17 @@ class Motion:
     grid: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def at(self, instants: Sequence[int] | NDArray[np.int64]) -> "Motion":
-        """Return the motion at some of its instants, in the order given; figures must be static."""
+        """Return the motion at some of its instants, in the order given."""
         chosen = np.asarray(instants)
 
-        def taken(named: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-            return {name: values[chosen] for name, values in named.items()}
+        def taken(named: dict[str, NDArray[np.float64]], static: int = 0) -> dict[str, NDArray[np.float64]]:
+            return {name: one if one.ndim == static else one[chosen] for name, one in named.items()}
 
         moved = {name: getattr(self, name)[chosen] for name in ("segment_motion", "mount", "m2")}
-        return replace(self, **moved, rigid=taken(self.rigid), grid=taken(self.grid))
+        moved |= taken({"segment_figure": self.segment_figure}, static=2)
+        return replace(
+            self, **moved, rigid=taken(self.rigid), figure=taken(self.figure, static=1), grid=taken(self.grid)
+        )
 
 
 def still(instants: int, segments: int, figure_terms: int = 0, **named: dict[str, Any]) -> Motion:

@@ -160,7 +160,7 @@ def import_model(
         )
     length, mass_factor, stiffness_factor = si_factors(units)
     mass, dofs, mesh = (None if path is None else Path(path) for path in (mass, dofs, mesh))
-    contents = _read(file)
+    contents = read_contents(file)
     notes: list[str] = []
     drop = zero_rows == "drop" or contents.keeps_fixed
     grid = _mesh(contents, file, mesh)
@@ -235,7 +235,14 @@ def _matrices(
     return K, M, table
 
 
-def _read(path: Path) -> Contents:
+def read_contents(path: Path) -> Contents:
+    """Return the matrices of a file, by its suffix.
+
+    Raises
+    ------
+    UserError
+        If there is no reader of such files, or it cannot be read.
+    """
     suffix = path.suffix.lower()
     if suffix == ".mtx":
         plain = matrix_market.is_matrix_market(path)
@@ -262,7 +269,7 @@ def _pair(contents: Contents, file: Path, mass: Path | None) -> tuple[Entries, E
         if len(found) != 1:
             raise UserError(f"no mass matrix found beside {file.name}; name it with the key mass")
         mass = found[0]
-    return stiffness, _named(_read(mass), "M", mass)
+    return stiffness, _named(read_contents(mass), "M", mass)
 
 
 def _named(contents: Contents, letter: str, path: Path) -> Entries:

@@ -12,17 +12,20 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.tiles import TILE, from_tiles
+from wavequake.optics.polynomials.zernike import annular_zernike, noll_to_nm
+from wavequake.optics.segments.figures import figure_frames, figure_terms
 from wavequake.optics.segments.kinematics import cardan, segment_poses
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.segments.telescope import SegmentedTelescope, footprints
-from wavequake.optics.shapes.shapes import Opening, ZernikeDeformation
+from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeDeformation, ZernikeSag
 from wavequake.optics.systems.freeze import deformed_shape
 from wavequake.optics.systems.system import OpticalSystem, Surface
 
 Array = NDArray[np.float64]
 
+_MOST_LEFT = 2e-9  # mm of a figure that may be lost: 1e-5 waves of visible light
 _MARGIN = 1.01  # of the light that is sent to a segment, beyond its corners
 
 
@@ -51,14 +54,9 @@ def segment_systems(
     Raises
     ------
     UserError
-        If segments have figures, which no surface of a lens file can hold.
+        If a segment's figure is so fine that polynomials about the vertex of M1 do not hold it.
     """
     segments = telescope.segments
-    if states.segment_figure[instant].any():
-        raise UserError(
-            f"The segments of {telescope.name} deform, each about its own center, for which lens files have "
-            "no surface type; cases of rigid motion have one."
-        )
     behind = tuple(_behind(telescope, states, instant))
     parent = replace(
         parent_system(telescope, wavelengths[0]),
@@ -71,7 +69,8 @@ def segment_systems(
     poses = from_tiles(tile)[instant - first]
     for number, name in enumerate(segments.names):
         turn, shift = poses[number, :9].reshape(3, 3), poses[number, 9:]
-        moved = replace(primary, name=name, position=-turn.T @ shift, rotation=turn.T)
+        shape = _figured(telescope, number, states.segment_figure[instant, number])
+        moved = replace(primary, name=name, shape=shape, position=-turn.T @ shift, rotation=turn.T)
         if is_monolithic(segments):
             yield name, replace(parent, surfaces=(stop, moved, *behind))
             continue
@@ -84,6 +83,43 @@ def segment_systems(
         surfaces = (replace(stop, opening=None), replace(moved, opening=glass), *behind)
         pupil = replace(parent.pupil, obscuration=0.0)
         yield name, replace(parent, surfaces=surfaces, pupil=pupil, vignetting=(light,) * len(beside))
+
+
+def _figured(telescope: SegmentedTelescope, segment: int, terms: Array) -> Conic | ZernikeSag:
+    """Return the mirror with the figure of a segment: polynomials about its center are some about the vertex.
+
+    These have the same degree and are exact but for rounding, which grows with it: they are small on the
+    segment alone.
+    """
+    bare = Conic(telescope.primary_radius, telescope.primary_conic)
+    if not terms.any():
+        return bare
+    segments, (a, b) = telescope.segments, figure_frames(telescope)[segment, 2:]
+    radius = 1.0 / float(np.hypot(a, b))
+    center = segments.centers[segment, :2]
+    norm = float(np.hypot(*center)) + radius
+    degree = noll_to_nm(len(terms))[0]
+    angles, rings = 2.0 * np.pi * np.arange(2 * degree + 2) / (2 * degree + 2), np.arange(1, degree + 2)
+    across = norm * np.sin(0.5 * np.pi * rings / (degree + 1))  # denser at the rim
+    points = (across[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)).reshape(-1, 2)
+    inside = center + points * (radius / norm)
+
+    def heights(where: Array) -> Array:
+        along = figure_terms(telescope, np.full(len(where), segment), where, len(terms)) @ terms
+        return np.asarray(along / -segments.axes[segment, 2, 2])  # along z, with the light
+
+    def basis(where: Array) -> Array:
+        count = (degree + 1) * (degree + 2) // 2
+        return np.asarray(annular_zernike(where[:, 0] / norm, where[:, 1] / norm, count))
+
+    found = np.linalg.lstsq(basis(points), heights(points))[0]
+    left = basis(inside) @ found - heights(inside)
+    if np.abs(left).max() > _MOST_LEFT:
+        raise UserError(
+            f"The figure of the segment {segments.names[segment]} of {telescope.name} has {len(terms)} terms "
+            "about its center: about the vertex of M1, as lens files have them, they drown in rounding."
+        )
+    return ZernikeSag(bare.radius, bare.conic, tuple(found.tolist()), norm)
 
 
 def _behind(telescope: SegmentedTelescope, states: SurfaceStates, instant: int) -> Iterator[Surface]:

@@ -148,7 +148,8 @@ def _traced(
 def _states(prepared: PreparedTrace, field: Array, dofs: tuple[int, ...], motions: Array) -> SurfaceStates:
     count = len(motions)
     segments, _, terms = prepared.figure_matrix.shape
-    states = rest(padded(count), segments, len(prepared.system.surfaces), terms)
+    surfaces, mirror_terms = len(prepared.system.surfaces), prepared.mirror_matrix.shape[1]
+    states = rest(padded(count), segments, surfaces, terms, mirror_terms)
     for column, dof in enumerate(dofs):
         if dof < RIGID:
             states.segment_motion[:count, :, dof] = motions[:, column, None]

@@ -9,7 +9,7 @@ from wavequake.report.loops.spectra import of_histories, spectra
 from wavequake.report.page import Picture, picture
 from wavequake.words import counted
 from wavequake.workflows.lens.bench import study_of
-from wavequake.workflows.lens.loops import looked
+from wavequake.workflows.lens.loops import OPEN, looked
 from wavequake.workflows.loops.curves import frequencies, kept
 
 _MOST, _UM = 64, 1e3  # cases of which spectra are taken; per mm
@@ -29,7 +29,9 @@ def over_frequency(dataset: xr.Dataset, springs: str, rows: Sequence[int]) -> It
         f"Spectrum of the image motion, and how its rms adds up, {springs} springs",
         spectra([one for one in left if one.above[0] > 0], "What is left of the image motion", "µm"),
         f"Of the histories of {counted(some.sizes['case'], 'plant')}, from the blow on, each about its mean; "
-        "the thick line is the uncontrolled one. Below is the rms of all that is faster than a frequency.",
+        "the thick line is the uncontrolled one. Below is the rms of all that is faster than a frequency. "
+        f"{OPEN} So they have no Bode or Nyquist curves and no margins: how far a curve is below the thick "
+        "line is all that there is of them over frequency.",
     )
     study = study_of(dataset.attrs["study"])
     found = looked(study, springs)

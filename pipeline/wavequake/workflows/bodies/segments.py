@@ -38,10 +38,14 @@ _LENGTHS = np.repeat([MM_PER_M, 1.0], 3)
 
 @dataclass(frozen=True)
 class CarryingBodies:
-    """Bodies of a telescope: plants by the models that are compared, and what bodies and nodes carry."""
+    """Bodies of a telescope: plants by the models that are compared, and what bodies and nodes carry.
+
+    ``optical`` are those that carry something themselves: axes, and where they turn.
+    """
 
     plants: Mapping[str, Plant] = field(default_factory=dict)
     carried: Mapping[str, Carried] = field(default_factory=dict)
+    optical: tuple[OpticalBody, ...] = ()
 
 
 def carrying_bodies(masses: Masses, system: SegmentedTelescope) -> CarryingBodies:
@@ -70,7 +74,7 @@ def carrying_bodies(masses: Masses, system: SegmentedTelescope) -> CarryingBodie
     carried = {one.name: _follow(direct[one.name], system, _at_origin(one)) for one in optical}
     for nodes in held.values():
         carried |= {node: _follow(elements, system, np.eye(6)) for node, (_, elements) in nodes.items()}
-    return CarryingBodies(plants, carried)
+    return CarryingBodies(plants, carried, tuple(optical))
 
 
 def _names(system: SegmentedTelescope) -> tuple[str, ...]:

@@ -100,6 +100,11 @@ def control_bench_of(study_text: str) -> ControlBench:
         If the telescope has no mirror M2, a disturbance deforms it, or its deformations do not determine
         the wavefront.
     """
+    if bench_of(segment_text(study_text)).mirror_terms:
+        raise UserError(
+            "Disturbances that deform mirrors after M1 belong to the workflow segment-disturbance: here "
+            "M2 deforms to correct; leave its figures out."
+        )
     control = imaged_bench_of(study_text)
     with threadpool_limits(1):
         return replace(control, correction=_correction(control))
@@ -114,22 +119,18 @@ def imaged_bench_of(study_text: str) -> ControlBench:
         system, old = bench.system, bench.prepared
         if len(system.surfaces) < 2 or system.surfaces[0].action != "reflect":
             raise UserError(f"the telescope {system.name} has no mirror M2 that could correct its image")
-        if bench.mirror_terms:
-            raise UserError(
-                "Disturbances that deform mirrors after M1 belong to the workflow segment-disturbance: here "
-                "M2 deforms to correct; leave its figures out."
-            )
+        terms = max(study.figure_terms, bench.mirror_terms)
         prepared = prepare(
             system,
             old.rays,
             old.wavelength,
             study.wavefront.zernike_terms,
             figure_terms=bench.figure_terms,
-            mirror_terms=study.figure_terms,
+            mirror_terms=terms,
         )
         # Edges that the beam clears are not looked at.
         train = replace(prepared.train, semi_diameters=old.train.semi_diameters)
-        bench = replace(bench, prepared=replace(prepared, train=train))
+        bench = replace(bench, prepared=replace(prepared, train=train), mirror_terms=terms)
         rays = prepared.rays
         basis = ray_basis(
             rays.x,
@@ -140,7 +141,7 @@ def imaged_bench_of(study_text: str) -> ControlBench:
             2.0 * system.pupil_outer,
         )
         basis = replace(basis, peak=basis.peak * bench.stopped.light)
-        still = rest(TILE, len(system.segments), len(system.surfaces), bench.figure_terms, study.figure_terms)
+        still = rest(TILE, len(system.segments), len(system.surfaces), bench.figure_terms, terms)
         traced, static = trace(
             bench.prepared, replace(still, field=still.field + bench.field), choose_device("numpy")
         )

@@ -35,6 +35,12 @@ from wavequake.workflows.lens.study import STAGE, LensStudy
 from wavequake.workflows.loops.curves import Looked, noise_of
 from wavequake.workflows.loops.loop_margins import Makers, sampled_loop
 
+OPEN = (
+    "The bench's own controllers read lens 4, which the stage does not move: they feed forward, and the gain "
+    "of their loop is 0 at every frequency."
+)
+"""Why there are no margins of controllers that are no [[loop]]."""
+
 # Of the image and the stage's positions, and of the lenses, per m.
 _UM, _NM = 1e6, 1e9
 _NOTHING = SegmentLayout(
@@ -247,5 +253,5 @@ def loops(study: LensStudy) -> Makers:
             name = f"{known}, {springs} springs" if len(study.bench.springs) > 1 else known
             makers[name] = partial(sampled_loop, name, one.loop)
     if not makers:
-        raise UserError(f"{study.study.name} has no linear [[loop]], so that there are no margins.")
+        raise UserError(f"{study.study.name} has no linear [[loop]], so that there are no margins. {OPEN}")
     return makers

@@ -1,15 +1,13 @@
 """Which bodies with mass the stages of a system push, and how these answer."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 
 from wavequake.chain.loops.block import Actuator
 from wavequake.chain.loops.light import Light
-from wavequake.chain.loops.reaction import coordinates, load_mass, recoil_of
+from wavequake.chain.loops.reaction import Pushing, coordinates, load_mass, pushed_by
 from wavequake.control.linear import Array
-from wavequake.control.sampled.channel import Dynamics
 from wavequake.errors import UserError
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.workflows.bodies.made import MM_PER_M, transported
@@ -17,28 +15,6 @@ from wavequake.workflows.bodies.sections import BodySection
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.systems.bench import SystemBench
-
-_NANO = 1e-9
-
-
-@dataclass(frozen=True)
-class Pushing:
-    """Modes of the bodies, in nm and root of kg.
-
-    Attributes
-    ----------
-    names : tuple of str
-    dynamics : tuple of Dynamics
-    outputs : ndarray, shape (m, M)
-        Of the plant, m and rad, per mode.
-    drives : mapping of str to ndarray, shape (M, p)
-        Of stages that push.
-    """
-
-    names: tuple[str, ...]
-    dynamics: tuple[Dynamics, ...]
-    outputs: Array
-    drives: Mapping[str, Array]
 
 
 def pushing_of(study: SystemLoopStudy, bench: SystemBench, light: Light) -> Pushing | None:
@@ -50,19 +26,11 @@ def pushing_of(study: SystemLoopStudy, bench: SystemBench, light: Light) -> Push
         raise UserError(
             f"actuator.{wrong.name}.mass_kg: no [[body]] of the study has mass that it could push."
         )
-    loads = (
-        {} if plant is None else {one.name: _loads(study, bench, plant, light, one) for one in study.actuator}
-    )
-    drives = {name: load for name, load in loads.items() if load is not None}
-    if plant is None or not drives:
+    if plant is None:
         return None
-    found = recoil_of(plant)
-    return Pushing(
-        found.names,
-        found.dynamics,
-        _NANO * coordinates(plant) @ found.outward,
-        {name: found.inward @ load / _NANO for name, load in drives.items()},
-    )
+    each = {one.name: _loads(study, bench, plant, light, one) for one in study.actuator}
+    loads = {name: load for name, load in each.items() if load is not None}
+    return pushed_by(plant, loads) if loads else None
 
 
 def _loads(

@@ -6,38 +6,44 @@ from functools import partial
 
 import numpy as np
 
-from wavequake.chain.loops.actuators.m2_rigid import RigidM2
+from wavequake.chain.loops.actuators.m2_figure import MM_PER_NM
 from wavequake.chain.loops.actuators.segments import SegmentActuators
 from wavequake.chain.loops.answers import Answer, OwnModes, Put
 from wavequake.chain.loops.block import ACTUATORS, Actuator
 from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.reaction import Pushing
 from wavequake.chain.loops.structure import UNITS, Carrying, carrying, node_names
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
-from wavequake.mechanics.disturbances.motion import Motion, generator
-from wavequake.mechanics.disturbances.registry import Disturbance, draw_case, instants_of, parts
-from wavequake.optics.derivatives.central import SIGNS, central, checked_derivative
+from wavequake.mechanics.assembly.answers import moved as split_outputs
+from wavequake.mechanics.disturbances.motion import Motion, generator, still
+from wavequake.mechanics.disturbances.registry import draw_case, instants_of, on_elements, parts
+from wavequake.optics.derivatives.central import DOFS, SIGNS, central, checked_derivative
 from wavequake.optics.segments import modal
 from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.modal import ModalModel, layout_of
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.prepared import prepared
+from wavequake.workflows.bodies.stages import NODE, movable_bodies, stages_push, with_nodes
 from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, trace
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
-from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M
-from wavequake.workflows.segments.launches import CaseDraw
+from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
+from wavequake.workflows.segments.launches import CaseDraw, add_surfaces, states_at_rest
 from wavequake.workflows.segments.model import knows, model_of, motion_rows
 from wavequake.workflows.segments.study import segment_text
 from wavequake.workflows.segments.vignetting import require_all_rays
 
 # Half width of central differences of rigid motions, mm and rad.
 _SMALL = 1e-6
-# All that may move of segments and of M2, where no actuator does.
+# All that may move of segments, where no actuator does.
 _ALL = SegmentActuators(name="all", dofs=("dz", "rx", "ry"))
-_M2 = RigidM2(name="m2", dofs=("dx", "dy", "dz", "rx", "ry", "rz"))
+# Motions at which the light of bodies is taken, m and rad.
+_SLIGHT = 1e-8
+# Half widths of central differences of surfaces: M2 as a body, others, which may be in slow beams, figures.
+_M2, _OTHERS, _FIGURE = 1e3, 2e4, 10.0
 
 
 @dataclass(frozen=True)
@@ -52,12 +58,15 @@ class Optics:
     light : Light
     sights : dict of ndarray, shape (K, p)
         What sensors see per position of each actuator, by name.
-    m2 : ndarray, shape (J - 1, 6), or None
-        Light per dx, dy, dz (nm), rx, ry, rz (nrad) of M2, where anything moves it.
+    moved : dict of ndarray, shape (J - 1, 6)
+        Light per dx, dy, dz (nm), rx, ry, rz (nrad) of surfaces that anything but actuators moves, by their
+        places after M1.
+    bent : dict of ndarray, shape (J - 1, terms)
+        Light per Noll coefficient (nm) of surfaces that anything but actuators bends.
     structure : Carrying or None
         As disturbances move it.
     answers : tuple of Answer
-        Modes of the structure, then of actuators that bend, as actuators move them.
+        Modes of the structure, of bodies, then of actuators that bend, as actuators move them.
     times : tuple of ndarray, shape (1 + n,)
         Of each population: 0 and its instants, s.
     """
@@ -66,7 +75,8 @@ class Optics:
     model: ModalModel
     light: Light
     sights: dict[str, Array]
-    m2: Array | None
+    moved: dict[int, Array]
+    bent: dict[int, Array]
     structure: Carrying | None
     answers: tuple[Answer, ...]
     times: tuple[Array, ...]
@@ -86,71 +96,103 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
         If there are no derivatives, or an actuator does not fit the telescope.
     """
     text = study.exposed.identity_text()
-    moved = {dof for one in study.actuator for dof in one.segment_dofs}
-    moved |= set(_ALL.segment_dofs) if any(any(one.zernike.values()) for one in study.mode) else set()
+    bench = imaged_bench_of(text).bench
+    dofs = {dof for one in study.actuator for dof in one.segment_dofs}
+    dofs |= set(_ALL.segment_dofs) if any(any(one.zernike.values()) for one in study.mode) else set()
+    carried = {name for one in bench.bodies.carried.values() for name in one.names}
+    dofs |= set(range(len(DOFS))) if carried & set(bench.layout.names) else set()
     sights = {one.name: _sight(text, json.dumps(one.model_dump(), sort_keys=True)) for one in study.actuator}
-    control, model, light = _telescope(text, tuple(sorted(moved)))
+    control, model, light = _telescope(text, tuple(sorted(dofs)))
+    plant, light = with_nodes(node_names(study.mode), study.sensor, light)
     times = tuple(
         np.concatenate([[0.0], instants_of(study.disturbance, entry)]) for entry in study.disturbance
     )
-    name = control.bench.system.surfaces[0].name
-    m2 = None
-    if any(one.m2 for one in study.mode) or any(
-        _moves(study, light, entry, name) for entry in study.disturbance
-    ):
-        m2 = _sight(text, _M2.model_dump_json())
-    if study.mode or any(one.sees == "bodies" for one in study.sensor):
-        light = replace(light, bodies_too=True, nodes=node_names(study.mode))
+    rigid, bent = _moving(study, bench, light)
+    moved, deformed = (
+        {place: _surface_sight(text, place, kind) for place in places}
+        for kind, places in ((False, rigid), (True, bent))
+    )
+    if study.mode or plant is not None or any(one.sees == "bodies" for one in study.sensor):
+        light = replace(light, bodies_too=True)
         for one in study.actuator:
             by_bodies = _moved_bodies(control, light, one)
             sights[one.name] = np.vstack(
                 [sights[one.name], by_bodies, np.zeros((len(light.nodes), by_bodies.shape[1]))]
             )
     structure = carrying(study.mode, light.layout) if study.mode else None
-    answers = [] if structure is None else [_of_structure(text, light, structure, m2, sights)]
+    optics = Optics(control, model, light, sights, moved, deformed, structure, (), times)
+    answers = [] if structure is None else [_of_structure(text, optics, structure)]
+    if (pushing := stages_push(study.actuator, bench, light, plant)) is not None:
+        answers.append(_of_bodies(optics, pushing))
     for one in study.actuator:
         modes = one.own_modes()
         if modes is not None:
             seen = np.zeros((len(light), len(modes.names)))
             seen[: light.optical] = _sight(text, json.dumps(one.model_dump(), sort_keys=True), True)
             answers.append(Answer(modes.names, modes.dynamics, modes.put, seen, {one.name: modes.drives}))
-    return Optics(control, model, light, sights, m2, structure, tuple(answers), times)
+    return replace(optics, answers=tuple(answers))
 
 
-def _of_structure(
-    text: str, light: Light, structure: Carrying, m2: Array | None, sights: dict[str, Array]
-) -> Answer:
+def _moving(study: TelescopeLoopStudy, bench: Bench, light: Light) -> tuple[list[int], list[int]]:
+    """Return the places of surfaces after M1 that disturbances, modes and bodies may move, and bend."""
+    count, names = len(bench.system.surfaces), [surface.name for surface in bench.system.surfaces]
+    carried = {name for one in bench.bodies.carried.values() for name in one.names}
+    rigid = {names.index(name) for name in carried & set(names)} if light.layout.plant else set()
+    rigid |= {0} if any(one.m2 for one in study.mode) else set()
+    outputs = light.layout.plant.outputs if light.layout.plant else {}
+    bent = {names.index(name) for kind, name in outputs if kind == "figure" and name in names}
+    for entry in study.disturbance:
+        time = instants_of(study.disturbance, entry)
+        motion = draw_case(study.disturbance, entry, light.layout, study.study.seed, 0, time=time)
+        moved = np.zeros((len(time), count, 6))
+        deformed = np.zeros((len(time), count - 1, bench.mirror_terms))
+        add_surfaces(moved, deformed, bench, motion, slice(0, len(time)))
+        rigid |= set(np.flatnonzero(moved.any(axis=(0, 2))).tolist())
+        bent |= set(np.flatnonzero(deformed.any(axis=(0, 2))).tolist())
+    return sorted(rigid), sorted(bent)
+
+
+def _of_bodies(optics: Optics, pushing: Pushing) -> Answer:
+    """Return how bodies with mass answer the stages that push them."""
+    bench, layout = optics.control.bench, optics.light.layout
+
+    def motion(positions: Array) -> Motion:
+        assert layout.plant is not None
+        rigid, figure = split_outputs(layout.plant, positions @ pushing.outputs.T)
+        return on_elements(still(len(positions), len(layout), rigid=rigid, figure=figure), layout)
+
+    def put(states: SurfaceStates, positions: Array) -> None:
+        here, moved = slice(0, len(positions)), motion(positions)
+        states.segment_motion[here] += moved.segment_motion * np.repeat([MM_PER_M, 1.0], 3)
+        assert states.mirror_figure is not None
+        add_surfaces(states.surface_motion[here], states.mirror_figure[here], bench, moved, here)
+
+    sizes = np.abs(pushing.outputs).max(axis=0, initial=0.0)
+    units = _SLIGHT / np.where(sizes > 0.0, sizes, 1.0)
+    shown = _seen(optics, motion(np.diag(units))).T / units
+    return Answer(pushing.names, pushing.dynamics, put, np.ascontiguousarray(shown), pushing.drives)
+
+
+def _of_structure(text: str, optics: Optics, structure: Carrying) -> Answer:
     """Return how a structure answers actuators."""
-    first = 3 * len(light.layout)
+    light, first = optics.light, 3 * len(optics.light.layout)
     shown = np.zeros((len(light), len(structure.names)))
     if structure.moves[:first].any():
         seen = _sight(text, json.dumps(_ALL.model_dump(), sort_keys=True))
         shown[: light.optical] += seen @ structure.moves[:first]
-    if m2 is not None:
-        shown[: light.optical] += m2 @ structure.moves[first:]
-    shown[light.optical :] = np.vstack([structure.moves, structure.at])
+    if 0 in optics.moved:
+        shown[: light.optical] += optics.moved[0] @ structure.moves[first:]
+    moved = np.vstack([structure.moves, structure.at])
+    shown[light.optical : light.optical + len(moved)] = moved
     bodies = slice(light.optical, light.optical + first + 6)
-    drives = {name: structure.answers @ sight[bodies] for name, sight in sights.items()}
+    drives = {name: structure.answers @ sight[bodies] for name, sight in optics.sights.items()}
     return Answer(structure.names, structure.dynamics, structure.put, shown, drives)
-
-
-def _moves(study: TelescopeLoopStudy, light: Light, entry: Disturbance, surface: str) -> bool:
-    """Return whether a disturbance moves a surface."""
-    motion = draw_case(
-        study.disturbance,
-        entry,
-        light.layout,
-        study.study.seed,
-        0,
-        time=instants_of(study.disturbance, entry),
-    )
-    return surface in motion.rigid and bool(motion.rigid[surface].any())
 
 
 def _moved_bodies(control: ControlBench, light: Light, one: Actuator) -> Array:
     """Return motions of segments (nm, nrad) and M2 per position of an actuator, (3 S + 6, p)."""
     p = len(one.channels(light))
-    states = states_at_rest(control, p)
+    states = states_at_rest(control.bench, p)
     one.put(light, states, np.eye(p))
     segments = in_nm_and_nrad(states.segment_motion / np.repeat([MM_PER_M, 1.0], 3))
     return np.hstack([segments, states.surface_motion[:, 0] / UNITS]).T
@@ -171,7 +213,7 @@ def _telescope(text: str, dofs: tuple[int, ...]) -> tuple[ControlBench, ModalMod
         control.prepared.obscuration,
         bench.system.pupil_outer,
         bench.layout,
-        movable=_movable(bench.system),
+        movable=_movable(bench.system) | movable_bodies(bench),
         wavelength_nm=control.study.optics.wavelength_nm,
     )
     return control, model, light
@@ -194,12 +236,31 @@ def _sight(text: str, actuator: str, of_modes: bool = False) -> Array:
     record = json.loads(actuator)
     one = ACTUATORS.entries()[record["model"]].model_validate(record, strict=False)
     control, model, light = _telescope(text, one.segment_dofs)
+    what = f"the actuator {one.name}"
     if of_modes:
         modes: OwnModes = one.own_modes()
-        return _traced_sight(control, one, len(modes.names), modes.put)
+        return _traced_sight(control, what, one.step, len(modes.names), modes.put)
     if one.segment_dofs:
         return _modal_sight(control, model, light, one)
-    return _traced_sight(control, one, len(one.channels(light)), partial(one.put, light))
+    return _traced_sight(control, what, one.step, len(one.channels(light)), partial(one.put, light))
+
+
+@prepared(maxsize=16)
+def _surface_sight(text: str, place: int, bends: bool) -> Array:
+    """Return what is seen per motion (nm, nrad) of a surface after M1, or per Noll coefficient (nm)."""
+    control = _telescope(text, ())[0]
+    what = f"the surface {control.bench.system.surfaces[place].name}"
+
+    def bend(states: SurfaceStates, positions: Array) -> None:
+        assert states.mirror_figure is not None
+        states.mirror_figure[: len(positions), place] += positions * MM_PER_NM
+
+    def move(states: SurfaceStates, positions: Array) -> None:
+        states.surface_motion[: len(positions), place] += positions * UNITS
+
+    if bends:
+        return _traced_sight(control, what, _FIGURE, control.bench.mirror_terms, bend)
+    return _traced_sight(control, what, _OTHERS if place else _M2, len(UNITS), move)
 
 
 def seen_units(control: ControlBench, wavelength_nm: float) -> tuple[float, float]:
@@ -222,25 +283,15 @@ def _modal_sight(control: ControlBench, model: ModalModel, light: Light, one: Ac
     return np.vstack(rows).T
 
 
-def _traced_sight(control: ControlBench, one: Actuator, p: int, put: Put) -> Array:
+def _traced_sight(control: ControlBench, what: str, step: float, p: int, put: Put) -> Array:
     """Return what is seen of p motions that are put into states, by central differences of traces of each."""
     to_mas, to_nm = seen_units(control, control.study.optics.wavelength_nm)
-    states = states_at_rest(control, padded(4 * p))
-    put(states, np.concatenate([factor * one.step * np.eye(p) for factor in SIGNS]))
+    states = states_at_rest(control.bench, padded(4 * p))
+    put(states, np.concatenate([factor * step * np.eye(p) for factor in SIGNS]))
     found = trace(control.prepared, states, choose_device("numpy"))[1]
     values = np.hstack([found.los * to_mas, found.zernike[:, 3:] * to_nm])[: 4 * p]
-    slopes = checked_derivative(
-        values.reshape(4, p, -1), one.step, f"the actuator {one.name}", "use other optics.rays"
-    )
+    slopes = checked_derivative(values.reshape(4, p, -1), step, what, "use other optics.rays")
     return np.ascontiguousarray(slopes.T)
-
-
-def states_at_rest(control: ControlBench, batch: int) -> SurfaceStates:
-    """Return the telescope at rest, at the field point of the study."""
-    bench, terms = control.bench, control.study.figure_terms
-    still = rest(batch, len(bench.system.segments), len(bench.system.surfaces), bench.figure_terms, terms)
-    still.field[:] += bench.field
-    return still
 
 
 def drawn(study: TelescopeLoopStudy, optics: Optics, index: int, realization: int) -> CaseDraw:
@@ -254,11 +305,10 @@ def drawn(study: TelescopeLoopStudy, optics: Optics, index: int, realization: in
     if own:
         motion = motion.at([0, *range(len(at))])
     m2 = optics.control.bench.system.surfaces[0].name
-    others = {name: values for name, values in motion.rigid.items() if name != m2}
-    if not knows(optics.model, replace(motion, rigid=others)):
+    if not knows(optics.model, replace(motion, rigid={}, figure={})):
         raise UserError(
-            f"The disturbance {population.name!r} moves what the linear light of loops does not know: "
-            "other things than M1's segments and M2 as rigid bodies."
+            f"The disturbance {population.name!r} moves segments in ways that its first case does not, which "
+            "the linear light of loops does not know."
         )
     if optics.structure is None:
         return CaseDraw(population, realization, time, motion)
@@ -276,7 +326,7 @@ def _shaken(study: TelescopeLoopStudy, optics: Optics, time: Array, realization:
 def _carried(motion: Motion, optics: Optics, m2: str, shaken: Array) -> Motion:
     """Return a motion with what the structure adds."""
     assert optics.structure is not None
-    states = states_at_rest(optics.control, len(shaken))
+    states = states_at_rest(optics.control.bench, len(shaken))
     optics.structure.put(states, shaken)
     added = states.segment_motion / np.repeat([MM_PER_M, 1.0], 3)
     rotation = optics.control.bench.system.surfaces[0].rotation
@@ -287,22 +337,56 @@ def _carried(motion: Motion, optics: Optics, m2: str, shaken: Array) -> Motion:
 
 def seen_of(study: TelescopeLoopStudy, optics: Optics, case: CaseDraw) -> Array:
     """Return what sensors see of a disturbance at 0 and its instants, (1 + n, K); mas and nm."""
-    to_mas, to_nm = seen_units(optics.control, study.optics.wavelength_nm)
-    count, places = len(case.time), layout_of(optics.model.terms)
-    rows = motion_rows(optics.control.bench, optics.model, case.motion, padded(count))
+    seen = _seen(optics, case.motion)
+    if optics.structure is not None:
+        first = optics.light.optical + 3 * len(optics.light.layout) + 6
+        at = _shaken(study, optics, case.time, case.realization) @ optics.structure.at.T
+        seen[:, first : first + at.shape[1]] = at
+    return seen
+
+
+def off_straight_lines(study: TelescopeLoopStudy, optics: Optics, index: int) -> float:
+    """Return how far light is off straight lines between instants of a first case, of the most that it does.
+
+    The larger of the line of sight and of coefficients, each of its own.
+    """
+    population, time = study.disturbance[index], optics.times[index]
+    if any(part.instants_of_file() is not None for part in parts(study.disturbance, population)):
+        return 0.0
+    twice = np.interp(np.arange(2 * len(time) - 1) / 2.0, np.arange(len(time)), time)
+    motion = draw_case(study.disturbance, population, optics.light.layout, study.study.seed, 0, time=twice)
+    seen = _seen(optics, motion)[:, : optics.light.optical]
+    off = np.abs(seen[1::2] - 0.5 * (seen[:-1:2] + seen[2::2])).max(axis=0)
+    most = np.abs(seen).max(axis=0)
+    each = [
+        off[part].max(initial=0.0) / max(most[part].max(initial=0.0), _SLIGHT)
+        for part in (slice(0, 2), slice(2, None))
+    ]
+    return float(max(each))
+
+
+def _seen(optics: Optics, motion: Motion) -> Array:
+    """Return what sensors see of a motion, (n, K); of nodes, those of bodies."""
+    bench, light, count = optics.control.bench, optics.light, len(motion.mount)
+    to_mas, to_nm = seen_units(optics.control, optics.control.study.optics.wavelength_nm)
+    places = layout_of(optics.model.terms)
+    rows = motion_rows(bench, optics.model, motion, padded(count))
     linear = modal.forms(optics.model, rows, TILE).linear[:count]
     seen = np.hstack([linear[:, places.los] * to_mas, linear[:, places.zernike][:, 3:] * to_nm])
-    bench = optics.control.bench
-    surface = bench.system.surfaces[0]
-    m2 = np.zeros((count, 6))
-    if optics.m2 is not None and surface.name in case.motion.rigid:
-        own = case.motion.rigid[surface.name] * np.repeat([MM_PER_M, 1.0], 3)
-        m2 += in_optics_frame(own, surface.rotation) / UNITS
-        seen += m2 @ optics.m2.T
-    if not optics.light.bodies_too:
+    surfaces = len(bench.system.surfaces)
+    moved, bent = np.zeros((count, surfaces, 6)), np.zeros((count, surfaces - 1, bench.mirror_terms))
+    add_surfaces(moved, bent, bench, motion, slice(0, count))
+    for place, sight in optics.moved.items():
+        seen += moved[:, place] / UNITS @ sight.T
+    for place, sight in optics.bent.items():
+        seen += bent[:, place] / MM_PER_NM @ sight.T
+    if not light.bodies_too:
         return seen
-    m2[:, 3:5] += case.motion.m2 @ bench.m2_tilt.T / UNITS[3:5]
-    nodes = np.zeros((count, 0))
-    if optics.structure is not None:
-        nodes = _shaken(study, optics, case.time, case.realization) @ optics.structure.at.T
-    return np.hstack([seen, in_nm_and_nrad(case.motion.segment_motion), m2, nodes])
+    m2 = moved[:, 0] / UNITS
+    m2[:, 3:5] += motion.m2 @ bench.m2_tilt.T / UNITS[3:5]
+    nodes = np.zeros((count, len(light.nodes)))
+    for column, label in enumerate(light.nodes):
+        node, _, dof = label.rpartition(".")
+        if NODE + node in motion.rigid:
+            nodes[:, column] = 1e9 * motion.rigid[NODE + node][:, DOFS.index(dof)]
+    return np.hstack([seen, in_nm_and_nrad(motion.segment_motion), m2, nodes])

@@ -27,11 +27,13 @@ from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import cut, full_exposure
 from wavequake.kernels.device.devices import Device, choose_device
-from wavequake.kernels.device.tiles import padded
 from wavequake.kernels.trace.train import Traced
+from wavequake.mechanics.disturbances.plant_source import PlantSource
+from wavequake.mechanics.disturbances.registry import parts
 from wavequake.mechanics.model import Integers
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.wavefronts.record import Wavefront
+from wavequake.workflows.bodies.stages import stage_notices
 from wavequake.workflows.exposures.telescope_control import (
     ControlBench,
     local_images,
@@ -43,11 +45,19 @@ from wavequake.workflows.exposures.telescope_control import (
 from wavequake.workflows.exposures.telescope_exposure import lit_object_of
 from wavequake.workflows.loops.curves import curve_axes, curves, shown
 from wavequake.workflows.loops.telescope_bench import Bench, bench_of
-from wavequake.workflows.loops.telescope_light import drawn, optics_of, seen_of, seen_units, states_at_rest
+from wavequake.workflows.loops.telescope_light import (
+    drawn,
+    off_straight_lines,
+    optics_of,
+    seen_of,
+    seen_units,
+)
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.loops.traced_light import beyond_linear
 from wavequake.workflows.segments.launches import CaseDraw, slots, surface_states
 
+# Of what is seen of bodies, how far straight lines between instants may be off.
+_STRAIGHT = 0.02
 # Cases that are stepped together; products have this many columns whatever is computed, and a case its own.
 ROWS = 16
 
@@ -150,8 +160,7 @@ def states_of(
     """Return a case at the chosen of its instants under a controller, whole tiles of states."""
     control = bench.optics.control
     moved = replace(case, time=case.time[1 + chosen], motion=case.motion.at(1 + chosen))
-    disturbed = surface_states(control.bench, moved, 0, len(chosen))
-    states = replace(disturbed, mirror_figure=states_at_rest(control, padded(len(chosen))).mirror_figure)
+    states = surface_states(control.bench, moved, 0, len(chosen))
     first = 0
     for actuator in one.actuators:
         last = first + len(actuator.channels(bench.optics.light))
@@ -282,8 +291,18 @@ def fixed(bench: Bench) -> dict[str, Any]:
 
 
 def notices(study: TelescopeLoopStudy) -> Iterator[str]:
-    """Yield what controllers leave out in their designs."""
-    yield from design_notices(study, optics_of(study))
+    """Yield what controllers leave out in their designs, and what loops do not know of bodies."""
+    optics = optics_of(study)
+    yield from design_notices(study, optics)
+    yield from stage_notices(study.actuator, optics.control.bench, optics.light)
+    for index, entry in enumerate(study.disturbance):
+        if entry.share and any(isinstance(one, PlantSource) for one in parts(study.disturbance, entry)):
+            off = off_straight_lines(study, optics, index)
+            if off > _STRAIGHT:
+                yield (
+                    f"disturbance.{entry.name}: between its instants loops take straight lines, which are "
+                    f"off what bodies do by up to {off:.2g} of it; give more instants than {entry.instants}."
+                )
 
 
 def describe(bench: Bench) -> Mapping[str, str]:

@@ -58,10 +58,6 @@ class TelescopeLoopStudy(SegmentStudy, LoopBlocks):
                     f"actuator.{each.name}.terms is {each.mirror_terms}, more than wavefront.zernike_terms "
                     f"{most}, which cannot tell such deformations apart"
                 )
-        if heavy := next((one.name for one in self.actuator if getattr(one, "mass_kg", None)), None):
-            raise ValueError(
-                f"actuator.{heavy}.mass_kg pushes bodies of system-loop; here [[mode]] says `pushed`"
-            )
         self.check_runs(self.disturbance, self.wavefront.method, self.wavefront.reference)
         if self.store.keep or self.rare is not None:
             raise ValueError("store.keep and rare belong to segment-disturbance; leave them out")

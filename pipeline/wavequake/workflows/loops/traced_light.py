@@ -17,8 +17,8 @@ from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.exposures.telescope_control import ControlBench, measured_opd, ray_phase, trace
 from wavequake.workflows.loops.telescope_bench import Bench
-from wavequake.workflows.loops.telescope_light import seen_units, states_at_rest
-from wavequake.workflows.segments.launches import CaseDraw, surface_states
+from wavequake.workflows.loops.telescope_light import seen_units
+from wavequake.workflows.segments.launches import CaseDraw, states_at_rest, surface_states
 
 # Farther than this, nm or nrad, nothing is traced: such a loop diverges.
 _FARTHEST = 1e8
@@ -54,14 +54,14 @@ def beyond_linear(
     still = control.static
     running = bench.study.running(bench.study.part("controller", one.name))
     sensors = [bench.study.sensors(each) for each in running]
-    rest = _rays(control, *trace(control.prepared, states_at_rest(control, padded(1)), device), 1)
+    rest = _rays(control, *trace(control.prepared, states_at_rest(control.bench, padded(1)), device), 1)
     dark = [[sensor.of_rays(bench.optics.light, rest) for sensor in each] for each in sensors]
 
     def beyond(place: int, frame: int, moved: Array) -> Array:
         timing = one.loops[place].timing
         end = (frame + 1) * timing.frame
         span = np.array([end - timing.integration]), np.array([end])
-        states = states_at_rest(control, padded(moved.shape[1]))
+        states = states_at_rest(control.bench, padded(moved.shape[1]))
         near = (np.abs(moved) < _FARTHEST).all(axis=0)
         positions = np.where(near, moved, 0.0).T
         linear = positions @ sight.T
@@ -109,6 +109,6 @@ def _put_mean(
     share = means(time, np.eye(len(near)), begin, end)[0]
     part = replace(case, time=time, motion=case.motion.at(near))
     moved = surface_states(bench.optics.control.bench, part, 0, len(near))
-    for name in ("segment_motion", "segment_figure", "surface_motion", "field"):
+    for name in ("segment_motion", "segment_figure", "surface_motion", "field", "mirror_figure"):
         values = getattr(moved, name)[: len(near)]
         getattr(states, name)[column] = np.tensordot(share, values, 1)

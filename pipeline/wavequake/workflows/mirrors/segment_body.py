@@ -145,6 +145,7 @@ def _on_springs(section: ElasticSegmentSection, body: SegmentBody, name: str) ->
         (),
         np.array([omega, 0.5 * np.diag(modal.damping) / omega]),
         np.zeros((len(rows), 0)),
+        np.zeros((6, 0)),
     )
 
 

@@ -157,16 +157,21 @@ def put_states(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw,
         figure[part] if figure.ndim > 2 else figure
     ) * MM_PER_M
     states.surface_motion[here, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
+    bent = None if states.mirror_figure is None else states.mirror_figure[here]
+    add_surfaces(states.surface_motion[here], bent, bench, motion, part)
+    states.field[here] += motion.mount[part]
+
+
+def add_surfaces(moved: Array, bent: Array | None, bench: Bench, motion: Motion, part: slice) -> None:
+    """Add how a motion moves (n, L, 6) and bends (n, L - 1, terms) surfaces by their names, as states do."""
     for index, surface in enumerate(bench.system.surfaces):
         if surface.name in motion.rigid:
             own = motion.rigid[surface.name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            states.surface_motion[here, index] += in_optics_frame(own, surface.rotation)
-        bent = motion.figure.get(surface.name)
-        if bent is not None and states.mirror_figure is not None:
-            shape = bent[part] if bent.ndim > 1 else bent
-            states.mirror_figure[here, index, : bent.shape[-1]] += shape * MM_PER_M
+            moved[:, index] += in_optics_frame(own, surface.rotation)
+        shape = motion.figure.get(surface.name)
+        if shape is not None and bent is not None:
+            bent[:, index, : shape.shape[-1]] += (shape[part] if shape.ndim > 1 else shape) * MM_PER_M
     for name, surfaces in bench.system.bodies.items():
         if name in motion.rigid:
             own = motion.rigid[name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            states.surface_motion[here, surfaces] += carried(bench.system, surfaces, own)
-    states.field[here] += motion.mount[part]
+            moved[:, surfaces] += carried(bench.system, surfaces, own)

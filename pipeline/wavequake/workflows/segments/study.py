@@ -303,12 +303,6 @@ class SegmentStudy(Study):
         return (FULL, *self.reduction.variants) if self.reduction is not None else (FULL,)
 
     def _bodies_fit(self) -> None:
-        if self.body and self.study.workflow not in ("segment-disturbance", "telescope-exposure"):
-            raise ValueError(
-                "body belongs to the workflows segment-disturbance and telescope-exposure; telescope-loop "
-                "knows what carries M1 and M2 by its modes: give it a [[mode]] (hz, zeta, zernike, m2, "
-                "pushed) for each; stages push bodies with mass in system-loop"
-            )
         massive = any(one.kind for one in self.body)
         if self.link and not massive:
             raise ValueError(f"the section link is of {NO_MASS}")

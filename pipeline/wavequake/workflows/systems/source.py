@@ -12,7 +12,7 @@ from wavequake.errors import UserError
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.optics.media.agf import read_agf
-from wavequake.optics.media.glasses import Medium
+from wavequake.optics.media.glasses import Medium, refractive_index
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.info import info
@@ -28,6 +28,7 @@ from wavequake.workflows.study import bundled_studies, load_study
 from wavequake.workflows.systems.study import SystemStudy
 
 MM_PER_NM = 1e-6
+_D_LINE = 587.5618 * MM_PER_NM
 
 
 def load_system(
@@ -109,11 +110,31 @@ def described(source: str, overrides: Iterable[str], catalogue: Path | None = No
     UserError
         As `load_system`; of a lens file that cannot be traced it shows what could be read.
     """
+    suffix = Path(source).suffix.lower()
+    if suffix == ".agf":
+        return _glasses(Path(source))
+    if suffix not in ("", ".toml", ".seq", *LENS_FILES):
+        from wavequake.mechanics.nodal.describe import FILES, describe  # spares lenses its 0.1 s
+
+        if suffix in FILES:
+            return describe(Path(source))
     try:
         return info(load_system(source, overrides, read_agf(catalogue) if catalogue else None))
     except LensFileError as error:
         held = f"{error.details}\n\nWhat the file holds, in its own unit:\n{error.read}"
         raise UserError(error, held.lstrip("\n")) from None
+
+
+def _glasses(catalogue: Path) -> str:
+    """Return the glasses of a catalogue with their indices at the d line, where they have one there."""
+    found = read_agf(catalogue)
+    lines = [f"{catalogue.name}: glasses with their indices at 587.56 nm"]
+    for name, medium in found.items():
+        try:
+            lines.append(f"  {name:<16} {refractive_index(medium, _D_LINE):.6f}")
+        except UserError:  # of the infrared
+            lines.append(f"  {name}")
+    return "\n".join(lines)
 
 
 def _names() -> tuple[str, ...]:

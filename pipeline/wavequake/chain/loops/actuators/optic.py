@@ -38,6 +38,11 @@ class Stage(Actuator):
         "default: that of a rigid body which it moves",
     )
 
+    @property
+    def carried_kg(self) -> float | None:
+        """Mass that it moves."""
+        return self.mass_kg
+
     def channels(self, light: Light) -> tuple[str, ...]:
         """Return the degrees of freedom.
 

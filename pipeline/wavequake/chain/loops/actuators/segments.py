@@ -57,6 +57,11 @@ class SegmentActuators(Actuator):
         return in_series(super().dynamics(), second_order(hertz, self.damping))
 
     @property
+    def carried_kg(self) -> float | None:
+        """Mass of a segment."""
+        return self.segment_kg
+
+    @property
     def segment_dofs(self) -> tuple[int, ...]:
         """Places of `dofs` among the six of a rigid body."""
         return tuple(map(DOFS.index, self.dofs))

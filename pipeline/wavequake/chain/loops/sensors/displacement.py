@@ -32,7 +32,10 @@ class OfBodies(Sensor):
     )
     m2: tuple[Dof, ...] = Field(default=(), strict=False, description="of M2: of dx, dy, dz, rx, ry, rz")
     nodes: tuple[str, ...] = Field(
-        default=(), strict=False, description="names or patterns of points that [[mode]] blocks move"
+        default=(),
+        strict=False,
+        description="names or patterns of points that [[mode]] blocks move, or of nodes of bodies, as "
+        "tube.top1.dx",
     )
 
     def labels(self, light: Light) -> tuple[str, ...]:
