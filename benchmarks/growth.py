@@ -181,6 +181,13 @@ def main(figure: str = "") -> None:
         draw(rows, Path(figure))
 
 
+def _label(value: float) -> str:
+    """Return a number as a tick has room for it."""
+    if value >= 1000 and np.log10(value) % 1.0 == 0.0:
+        return f"$10^{np.log10(value):.0f}$"
+    return f"{value:g}" if value < 1000 else f"{value / 1000:.2g}k"
+
+
 def draw(rows: list[tuple[str, str, list[float], list[float]]], file: Path) -> None:
     """Draw what was measured, one panel each, dotted what is proportional, and the simulated workers."""
     import matplotlib.pyplot as plt
@@ -191,7 +198,7 @@ def draw(rows: list[tuple[str, str, list[float], list[float]]], file: Path) -> N
         panel.loglog(values, costs, "o-", color="#0b5fa5", markersize=4)
         panel.loglog(values, np.array(values) * costs[-1] / values[-1], ":", color="0.6")
         panel.minorticks_off()
-        panel.set_xticks(values, [f"{value:g}" for value in values])
+        panel.set_xticks(values, [_label(value) for value in values])
         panel.set(xlabel=name, ylabel=f"CPU {unit}")
     panel = panels.flat[len(measured)]
     for name, _, counts, shares in (row for row in rows if row[1] == BUSY):
@@ -204,6 +211,7 @@ def draw(rows: list[tuple[str, str, list[float], list[float]]], file: Path) -> N
         panel.set_visible(False)
     for panel in panels.flat:
         panel.xaxis.label.set_size(8)
+        panel.tick_params(labelsize=7)
     drawn.savefig(file, dpi=90)
 
 
