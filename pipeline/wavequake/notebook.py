@@ -15,7 +15,6 @@ from wavequake.words import counted, printable
 
 _DRAWN = (
     ("wavequake.optics.systems.system", "OpticalSystem"),
-    ("wavequake.optics.segments.telescope", "SegmentedTelescope"),
     ("wavequake.mechanics.model", "FiniteElementModel"),
     ("wavequake.mechanics.model", "ReducedModel"),
 )

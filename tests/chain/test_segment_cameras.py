@@ -68,7 +68,7 @@ def fourier_sum(bench, case, wavelength_nm, axis, plane_um=0.0):
     defocus = plane_um * 1e-3 * (np.sqrt(1.0 - (x**2 + y**2) / prepared.focal_length**2) - 1.0)
     k = 2.0 * np.pi / (wavelength_nm * 1e-6)
     # lambda/D of the study's wavelength in rad on the sky
-    unit = bench.study.optics.wavelength_nm * 1e-6 / (2.0 * bench.system.pupil_outer)
+    unit = bench.study.optics.wavelength_nm * 1e-6 / (2.0 * bench.system.annulus.outer)
     ahead = weight * np.exp(1j * k * (defocus - opd))
     field = (np.exp(-1j * k * unit * np.outer(axis, y)) * ahead) @ np.exp(-1j * k * unit * np.outer(x, axis))
     return np.abs(field) ** 2 / weight.sum() ** 2

@@ -71,7 +71,7 @@ def rays_of(bench, case):
     slope = (wavefront.chief[0] - bench.static.chief[0]) / prepared.focal_length
     opd = np.array(traced.opd)[0, :, 0] - slope[0] * rays.x - slope[1] * rays.y
     ahead = prepared.weight * np.exp(-2j * np.pi * opd / prepared.wavelength) / prepared.weight.sum()
-    return np.stack([rays.x, rays.y]) / (2.0 * bench.system.pupil_outer), ahead
+    return np.stack([rays.x, rays.y]) / (2.0 * bench.system.annulus.outer), ahead
 
 
 def amplitude(rays, x, y):
@@ -82,7 +82,7 @@ def amplitude(rays, x, y):
 
 def fill(bench):
     """Area of the glass over that of the square about the pupil: a plane wave's share of an even plane."""
-    return float(bench.layout.areas_m2.sum()) * 1e6 / (2.0 * bench.system.pupil_outer) ** 2
+    return float(bench.layout.areas_m2.sum()) * 1e6 / (2.0 * bench.system.annulus.outer) ** 2
 
 
 def convolved(spread, picture, parts):
@@ -166,7 +166,7 @@ def test_an_object_that_swings_is_smeared_by_bessels_function(study_of, light):
     identity = study.identity_text()
     result = KIND.compute(identity, np.array([0]), "numpy")
     rest = KIND.template(identity).fixed["object_static"][1]
-    per_mas = np.deg2rad(1.0 / 3.6e6) * 2.0 * bench_of(identity).system.pupil_outer / 1e-3
+    per_mas = np.deg2rad(1.0 / 3.6e6) * 2.0 * bench_of(identity).system.annulus.outer / 1e-3
     way = result.arrays["los"][0, :, 0] * per_mas
     reach = np.hypot(way[0], way[1])  # a quarter of a period apart
     assert reach > 0.5

@@ -72,7 +72,7 @@ def test_the_streak_is_the_mean_over_the_line_of_sight(tmp_path):
         {"disturbance.pump.lines": [{"frequency_hz": 50.0, "fwhm_hz": 2.0, "rms_mas": 1e-9}]},
     )
     rest = KIND.compute(still.identity_text(), np.array([0]), "numpy").arrays["exposure"][0]
-    per_mas = np.deg2rad(1.0 / 3.6e6) * 2.0 * bench.system.pupil_outer / 1e-3
+    per_mas = np.deg2rad(1.0 / 3.6e6) * 2.0 * bench.system.annulus.outer / 1e-3
     los = found["los"][0] * per_mas
     axis = (np.arange(48) - 24) * 0.25
     for f in ([0.05, 0.0], [0.1, 0.05], [-0.05, 0.2]):
@@ -144,7 +144,7 @@ def test_a_history_of_the_line_of_sight_leaves_a_streak(tmp_path):
     way = np.array([[0.0, 0.0], [12.0, 6.0], [24.0, 12.0], [36.0, 18.0]]) - [18.0, 9.0]
     text, found = given_exposure(tmp_path, time, way)
     _, rest = given_exposure(tmp_path, time, np.zeros((4, 2)))
-    per_mas = np.deg2rad(1.0 / 3.6e6) * 2.0 * bench_of(text).system.pupil_outer / 1e-3
+    per_mas = np.deg2rad(1.0 / 3.6e6) * 2.0 * bench_of(text).system.annulus.outer / 1e-3
     axis = (np.arange(96) - 48) * 0.25
     assert np.ptp(way @ [1.0, 0.0]) * per_mas > 2.0
     for f in ([0.1, 0.0], [0.2, 0.1], [0.0, 0.3]):

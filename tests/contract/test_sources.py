@@ -18,10 +18,8 @@ from wavequake.mechanics.disturbances.source import SOURCES, time_axis_of
 from wavequake.mechanics.disturbances.streams import Coordinates
 from wavequake.optics.rays.pupils import on_glass, sunflower
 from wavequake.optics.segments.catalog import telescope
-from wavequake.optics.segments.kinematics import in_optics_frame
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.prepared import chief_rays, prepare
-from wavequake.optics.segments.states import rest
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.workflows.budgets.budget import budget
@@ -246,15 +244,14 @@ def test_surfaces_of_a_telescope_move_in_their_own_frames_as_those_of_a_system(n
     system = parent_system(segmented)
     own = np.random.default_rng(2).normal(size=(16, len(segmented.surfaces), 6))
     own *= np.repeat([1e-2, 1e-5], 3)
-    still = rest(16, len(segmented.segments), len(segmented.surfaces))
-    for index, surface in enumerate(segmented.surfaces):
-        still.surface_motion[:, index] = in_optics_frame(own[:, index], surface.rotation)
-    rays = sunflower(segmented.pupil_inner, segmented.pupil_outer, 4000)
+    still = rest_states(segmented, 16)
+    still.surface_motion[:, 2:] = own[:, 2:]
+    rays = sunflower(segmented.annulus.inner, segmented.annulus.outer, 4000)
 
     prepared = prepare(segmented, on_glass(segmented, rays), 550e-6, 4)
     chief = chief_rays(prepared, still)[0, :2].T
     states = rest_states(system, 16)
-    states.surface_motion[:, -own.shape[1] :] = own
+    states.surface_motion[:, 2:] = own[:, 2:]
     pupil = sunflower(system.pupil.obscuration, 1.0, 60)
     found = measure_system(prepare_system(system, pupil.x, pupil.y, pupil.weight, 4), states, NUMPY)
     np.testing.assert_allclose(chief, found.chief, rtol=0, atol=1e-8)

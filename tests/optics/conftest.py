@@ -10,7 +10,7 @@ from wavequake.optics.segments.prepared import prepare
 @pytest.fixture(scope="module")
 def thesis():
     system = telescope("tmt-thesis")
-    return prepare(system, quadrature_rays(system.pupil_inner, system.pupil_outer), WAVELENGTH, TERMS)
+    return prepare(system, quadrature_rays(system.annulus.inner, system.annulus.outer), WAVELENGTH, TERMS)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import areas, candidates, segments_on_conic
 from wavequake.optics.segments.modal_derivatives import modal_model
 from wavequake.optics.segments.prepared import prepare, trace_states
-from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.telescope import with_segments
 from wavequake.optics.shapes.concave import crossing, signed_distance, triangles
 from wavequake.optics.shapes.polygon_table import read_polygons
 from wavequake.optics.shapes.polygons import (
@@ -32,6 +32,7 @@ from wavequake.optics.shapes.polygons import (
     signed_areas,
 )
 from wavequake.optics.shapes.shapes import Opening
+from wavequake.optics.systems.kinematics import rest_states
 
 L = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [0, 2.0]])
 COMB = np.array(
@@ -156,8 +157,10 @@ def mirror():
     """A telescope whose segments are an L, a star and a comb of some meters."""
     shapes = padded(2e3 * L + [2e3, 2e3], 2.5e3 * STAR + [-6e3, 3e3], 1.2e3 * COMB + [-2e3, -7e3])
     plain = telescope("tmt-thesis")
-    whole = segments_on_conic(("L", "star", "comb"), shapes, plain.primary_radius, plain.primary_conic)
-    return replace(plain, segments=whole)
+    whole = segments_on_conic(
+        ("L", "star", "comb"), shapes, plain.primary.shape.radius, plain.primary.shape.conic
+    )
+    return with_segments(plain, whole)
 
 
 @pytest.mark.parametrize("points", [1, 3, 6, 12])
@@ -191,7 +194,7 @@ def test_rays_meet_the_glass_that_is_there_at_rest_and_moved(mirror, device):
     found = candidates(mirror.segments, x, y)[:, 0]
     np.testing.assert_array_equal(found, expected)
     prepared = prepare(mirror, PupilRays(x, y, np.ones(x.size), expected), 550e-6, 4, margin=500.0)
-    states = rest(TILE, 3, len(mirror.surfaces))
+    states = rest_states(mirror, TILE)
     states.segment_motion[1, :, 0] = [300.0, -200.0, 400.0]
     status = trace_states(prepared, states, device).status[0]
     assert (status[:, 0] == OK).all()
@@ -212,7 +215,7 @@ def test_rays_meet_the_glass_that_is_there_at_rest_and_moved(mirror, device):
 def test_modal_models_reach_to_the_nearest_edge(mirror):
     """In a notch the line of an edge is no edge."""
     rays = segment_rays(mirror.segments, 3)
-    model = modal_model(prepare(mirror, rays, 550e-6, 6), NUMPY, np.zeros(2), (0, 2))
+    model = modal_model(prepare(mirror, rays, 550e-6, 6), NUMPY, (0, 2))
     corners = mirror.segments.corners[rays.segment]
     part = np.linspace(0, 1, 2001)[:, None, None, None]
     dense = corners + part * (np.roll(corners, -1, axis=1) - corners)

@@ -1,5 +1,4 @@
 import io
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +13,9 @@ from wavequake.optics.rays.pupils import PupilRays, segment_rays
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import areas, candidates, tmt18_segments
 from wavequake.optics.segments.prepared import prepare, trace_states
-from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.telescope import with_segments
 from wavequake.optics.shapes.corner_table import distorted
+from wavequake.optics.systems.kinematics import rest_states
 
 DEVICES = [NUMPY, *(device for device in list_devices() if device.kind == "cpu")][:2]
 GAP_MM = 100.0
@@ -60,7 +60,7 @@ def system():
     ]
     segments = distorted(plain.segments, table(*rows))
     np.testing.assert_allclose(segments.corners, plain.segments.corners + moves, rtol=1e-15)
-    return replace(plain, segments=segments)
+    return with_segments(plain, segments)
 
 
 @pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
@@ -81,7 +81,7 @@ def test_rays_near_distorted_edges_meet_the_segments_that_are_there(system, devi
 
     rays = PupilRays(x, y, np.ones(len(x)), expected)
     prepared = prepare(system, rays, 550e-6, 4)
-    states = rest(TILE, 18, len(system.surfaces))
+    states = rest_states(system, TILE)
     states.segment_motion[1, 3, 0] = 8.0
     status = trace_states(prepared, states, device).status[0]
     assert (status[:, 0] == OK).all()

@@ -7,9 +7,15 @@ from scipy.spatial.transform import Rotation
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.tiles import TILE, from_tiles
-from wavequake.optics.segments.kinematics import cardan, field_directions, segment_poses, surface_poses
+from wavequake.optics.segments.kinematics import (
+    after_m1,
+    cardan,
+    field_directions,
+    relative_transforms,
+    segment_poses,
+)
 from wavequake.optics.segments.layout import Segments
-from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.segments.telescope import segmented_telescope
 from wavequake.optics.shapes.shapes import Conic
 from wavequake.optics.systems.system import Surface
 
@@ -37,7 +43,11 @@ def some_system():
         Surface(name, Conic(radius), p, turned(angle), "pass" if name == "image" else "reflect")
         for name, radius, p, angle in frames
     )
-    return SegmentedTelescope("test", some_segments(), -60e3, -1.0, surfaces, -1874.97, 1512.2, 15000.0)
+    return segmented_telescope("test", some_segments(), -60e3, -1.0, surfaces, -1874.97, 1512.2, 15000.0)
+
+
+def poses_after_m1(motion):
+    return relative_transforms(*after_m1(some_system(), motion))
 
 
 def transforms(poses):
@@ -119,19 +129,19 @@ def test_an_instant_has_the_same_pose_alone_and_in_a_batch():
 @given(arrays(float, (3, 6), elements=st.floats(-1.0, 1.0)))
 def test_relative_poses_compose_to_the_absolute_ones(one_motion):
     system = some_system()
-    motion = np.broadcast_to(one_motion, (TILE, 3, 6))
-    turn, shift = (values[0] for values in transforms(surface_poses(system, motion)))
+    motion = np.zeros((TILE, 5, 6))
+    motion[:, 2:] = one_motion
+    turn, shift = (values[0] for values in transforms(poses_after_m1(motion)))
     absolute, point = np.array([100.0, -200.0, 300.0]), np.array([100.0, -200.0, 300.0])
-    for surface, move, relative, offset in zip(system.surfaces, one_motion, turn, shift, strict=True):
+    for surface, move, relative, offset in zip(system.after_primary, one_motion, turn, shift, strict=True):
         point = relative @ point + offset
-        rotation = Rotation.from_euler("XYZ", move[3:]).as_matrix() @ surface.rotation
-        np.testing.assert_allclose(
-            point, rotation.T @ (absolute - surface.position - move[:3]), rtol=0, atol=1e-10
-        )
+        rotation = surface.rotation @ Rotation.from_euler("XYZ", move[3:]).as_matrix()
+        position = surface.position + surface.rotation @ move[:3]
+        np.testing.assert_allclose(point, rotation.T @ (absolute - position), rtol=0, atol=1e-10)
 
 
 def test_the_reference_configuration_of_table_4_2():
-    turn, shift = (values[0] for values in transforms(surface_poses(some_system(), np.zeros((TILE, 3, 6)))))
+    turn, shift = (values[0] for values in transforms(poses_after_m1(np.zeros((TILE, 5, 6)))))
     half = np.sqrt(0.5)
     np.testing.assert_allclose(shift[0], [0, 0, 27093.75], rtol=0, atol=1e-10)
     # The image is at (-14142.136, 0, -14142.136) in M3's frame and turned by 45 degrees against it.
@@ -152,7 +162,7 @@ def test_field_directions_are_unit_vectors_with_the_given_slopes(field):
         lambda: segment_poses(some_segments(), np.zeros((TILE, 5, 6)), "sky"),
         lambda: segment_poses(some_segments(), np.zeros((TILE, 4, 6))),
         lambda: segment_poses(some_segments(), np.zeros((TILE + 1, 5, 6))),
-        lambda: surface_poses(some_system(), np.zeros((TILE, 2, 6))),
+        lambda: poses_after_m1(np.zeros((TILE, 2, 6))),
     ],
 )
 def test_bad_input_is_named(call):

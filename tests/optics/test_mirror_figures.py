@@ -15,9 +15,9 @@ from wavequake.optics.rays.pupils import PupilRays
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.segments.sensitivity import sensitivities
-from wavequake.optics.segments.states import rest
-from wavequake.optics.segments.telescope import footprints
+from wavequake.optics.segments.telescope import footprints, with_figures
 from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.systems.kinematics import rest_states
 
 WAVELENGTH = 550e-6
 M1 = -1 / 60e3, -1.0009535
@@ -78,7 +78,7 @@ def test_an_annular_pupil_has_a_distinct_first_ring():
 @pytest.fixture(scope="module")
 def thesis():
     system = telescope("tmt-thesis")
-    inner, outer = system.pupil_inner, system.pupil_outer
+    inner, outer = system.annulus.inner, system.annulus.outer
     nodes, weights = np.polynomial.legendre.leggauss(16)
     r, angle = np.sqrt(inner**2 + (outer**2 - inner**2) * (nodes + 1) / 2), 2 * np.pi * np.arange(64) / 64
     x, y = np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()
@@ -114,8 +114,8 @@ def test_figures_of_m2_against_the_change_of_paths_at_the_undisturbed_hits(thesi
     radius = footprints(thesis.system)[0]
     figures = annular_zernike(on_m2[0] / radius, on_m2[1] / radius, FIGURE, 0.0)
     waves = (outgoing - toward)[2][:, None] * figures / WAVELENGTH
-    outer = thesis.system.pupil_outer
-    basis = annular_zernike(rays.x / outer, rays.y / outer, TERMS, thesis.system.pupil_inner / outer)
+    outer = thesis.system.annulus.outer
+    basis = annular_zernike(rays.x / outer, rays.y / outer, TERMS, thesis.system.annulus.inner / outer)
     root = np.sqrt(thesis.weight)[:, None]
     expected = np.linalg.lstsq(root * basis, root * waves, rcond=None)[0].T
     np.testing.assert_allclose(
@@ -134,16 +134,15 @@ def test_a_constant_figure_is_a_shift_along_the_axis(found):
 
 
 def test_figures_that_do_not_fit_are_refused(thesis):
-    states = rest(TILE, 1, 3, mirror_terms=4)
-    with pytest.raises(
-        UserError, match=r"mirror figures have the shape \(16, 2, 4\), it must be \(16, 2, 15\)"
-    ):
+    states = rest_states(with_figures(thesis.system, 0, 4), TILE)
+    said = r"mirrors after M1 have the shapes \[\(16, 4\), \(16, 4\)\], each must be \(16, 15\)"
+    with pytest.raises(UserError, match=said):
         trace_states(thesis, states, NUMPY)
 
 
 def test_a_figure_that_is_no_number_loses_the_rays(thesis):
-    states = rest(TILE, 1, 3, mirror_terms=FIGURE)
-    states.mirror_figure[2, 0, 3] = np.nan
+    states = rest_states(thesis.system, TILE)
+    states.deformations[2][2, 3] = np.nan
     wavefront = analyse(thesis, trace_states(thesis, states, NUMPY), chief_rays(thesis, states))
     assert wavefront.lost.tolist() == [len(thesis.rays) if lane == 2 else 0 for lane in range(TILE)]
 
@@ -152,8 +151,8 @@ def test_a_figure_that_is_no_number_loses_the_rays(thesis):
 def test_m2_vignettes_what_misses_its_glass(thesis, arcmin):
     """Semi-diameters of Table 4.2; light from beside the axis moves across M2 and, farther, across M3."""
     field = np.deg2rad(arcmin / 60)
-    states = rest(TILE, 1, 3, mirror_terms=FIGURE)
-    states.field[:, 0] = field
+    states = rest_states(thesis.system, TILE)
+    states.line_of_sight[:, 0] = field
     traced = trace_states(thesis, states, NUMPY)
     wavefront = analyse(thesis, traced, chief_rays(thesis, states))
     on_m2, _, outgoing = at_m2(thesis.rays.x, thesis.rays.y, field)
@@ -173,10 +172,10 @@ def test_m2_vignettes_what_misses_its_glass(thesis, arcmin):
 
 def test_rays_that_a_gap_or_the_image_loses_are_not_vignetted(thesis):
     """M2 aside by 200 mm stops some rays, M2 nowhere all, M1 or the image nowhere loses them otherwise."""
-    states = rest(TILE, 1, 3, mirror_terms=FIGURE)
-    states.surface_motion[3, 0, 0] = 200.0
-    states.surface_motion[5, 0, 0] = np.nan
-    states.surface_motion[7, 2, 0] = np.nan
+    states = rest_states(thesis.system, TILE)
+    states.surface_motion[3, 2, 0] = 200.0
+    states.surface_motion[5, 2, 0] = np.nan
+    states.surface_motion[7, 4, 0] = np.nan
     states.segment_motion[9, 0, 2] = np.nan
     wavefront = analyse(thesis, trace_states(thesis, states, NUMPY), chief_rays(thesis, states))
     assert 0 < wavefront.vignetted[3] == wavefront.lost[3] < len(thesis.rays)
@@ -186,10 +185,10 @@ def test_rays_that_a_gap_or_the_image_loses_are_not_vignetted(thesis):
 
 def test_mirrors_without_edges_vignette_nothing(thesis):
     system = thesis.system
-    endless = tuple(replace(surface, opening=None) for surface in system.surfaces)
-    bare = prepare(replace(system, surfaces=endless), thesis.rays, WAVELENGTH, TERMS)
-    states = rest(TILE, 1, 3)
-    states.field[:, 0] = np.deg2rad(15 / 60)
+    endless = tuple(replace(surface, opening=None) for surface in system.after_primary)
+    bare = prepare(replace(system, surfaces=(*system.surfaces[:2], *endless)), thesis.rays, WAVELENGTH, TERMS)
+    states = rest_states(bare.system, TILE)
+    states.line_of_sight[:, 0] = np.deg2rad(15 / 60)
     assert (trace_states(bare, states, NUMPY).status == 0).all()
 
 
@@ -204,9 +203,10 @@ def test_more_terms_are_traced_by_recurrences_to_the_same_light(thesis, device):
         prepared = prepare(thesis.system, thesis.rays, WAVELENGTH, 3, figure_terms=terms, mirror_terms=terms)
         assert (prepared.train.figure_basis == "monomial") is (terms == 231)
         assert prepared.train.mirror_basis == prepared.train.figure_basis
-        more = [(0, 0), (0, 0), (0, terms - 231)]
-        states = rest(TILE, 1, 3)
-        states = replace(states, segment_figure=np.pad(figure, more), mirror_figure=np.pad(mirrors, more))
+        states = rest_states(prepared.system, TILE)
+        states.segment_figure[..., :231] = figure
+        for form, given in zip(states.deformations[2:4], np.swapaxes(mirrors, 0, 1), strict=True):
+            form[:, :231] = given
         traced = trace_states(prepared, states, device)
         assert (traced.status == 0).all()
         opd.append(traced.opd)

@@ -14,10 +14,10 @@ from wavequake.optics.rays.pupils import PupilRays, on_glass, segment_rays, sunf
 from wavequake.optics.segments import modal
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.modal_derivatives import modal_model
-from wavequake.optics.segments.prepared import prepare, trace_states
+from wavequake.optics.segments.prepared import at_field, prepare, trace_states
 from wavequake.optics.segments.slopes import slope_fit
-from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.wavefront import measure
+from wavequake.optics.systems.kinematics import rest_states
 
 WAVELENGTH = 550e-6
 SEGMENTS, INSTANTS, TERMS = 18, 16, 6
@@ -35,7 +35,7 @@ def tmt18():
 
 @pytest.fixture(scope="module")
 def model(tmt18):
-    return modal_model(tmt18, NUMPY, FIELD, DOFS)
+    return modal_model(at_field(tmt18, FIELD), NUMPY, DOFS)
 
 
 def motions(sizes, common=0.0, seed=5):
@@ -48,13 +48,13 @@ def motions(sizes, common=0.0, seed=5):
 
 
 def states_of(prepared, motion):
-    states = rest(INSTANTS, SEGMENTS, len(prepared.system.surfaces), TERMS)
+    states = rest_states(prepared.system, INSTANTS)
     local = motion[:, :-4].reshape(INSTANTS, len(DOFS), SEGMENTS)
     for column, dof in enumerate(DOFS):
         target = states.segment_motion[:, :, dof] if dof < 6 else states.segment_figure[:, :, dof - 6]
         target[:] = local[:, column]
-    states.surface_motion[:, 0, 3:5] = motion[:, -4:-2]
-    states.field[:] = FIELD + motion[:, -2:]
+    states.surface_motion[:, 2, 3:5] = motion[:, -4:-2]
+    states.line_of_sight[:] = FIELD + motion[:, -2:]
     return states
 
 
@@ -155,7 +155,7 @@ def test_mean_squares_of_two_of_492_segments_against_an_independent_trace():
     """Of pistons along and turns about the telescope's axes: mean OPD and rms on the segment."""
     names = ["A1", "B10"]
     prepared = two_of_492(names)
-    model = modal_model(prepared, NUMPY, np.zeros(2), (0, 1, 2, 3, 4, 5))
+    model = modal_model(prepared, NUMPY, (0, 1, 2, 3, 4, 5))
     share = np.bincount(prepared.rays.segment) / len(prepared.rays.segment)
     path = Path(__file__).parents[1] / "data" / "tmt492_segments.json"
     for k, name in enumerate(names):
@@ -199,24 +199,24 @@ def test_a_ray_on_an_edge_has_no_derivatives():
     )
     prepared = prepare(system, more, WAVELENGTH, 6)
     with pytest.raises(UserError, match=r"rays are lost at rest or within 0.02 mm .* optics.rays"):
-        modal_model(prepared, NUMPY, np.zeros(2), (0, 1))
+        modal_model(prepared, NUMPY, (0, 1))
 
 
 def test_wavefronts_from_slopes_are_refused(tmt18):
     with pytest.raises(UserError, match="path lengths about the chief ray"):
-        modal_model(replace(tmt18, slopes=slope_fit(tmt18)), NUMPY, np.zeros(2), (2,))
+        modal_model(replace(tmt18, slopes=slope_fit(tmt18)), NUMPY, (2,))
 
 
 def test_a_mirror_without_edges_has_a_model_too():
     system = telescope("tmt-thesis")
     prepared = prepare(
-        system, on_glass(system, sunflower(system.pupil_inner, system.pupil_outer, 400)), WAVELENGTH, 11
+        system, on_glass(system, sunflower(system.annulus.inner, system.annulus.outer, 400)), WAVELENGTH, 11
     )
-    model = modal_model(prepared, NUMPY, np.zeros(2), (3,))
+    model = modal_model(prepared, NUMPY, (3,))
     assert np.isinf(model.clearance)
     motion = np.zeros((16, 5))
     motion[0, 0] = 1e-7
-    states = rest(16, 1, len(system.surfaces), 0)
+    states = rest_states(system, 16)
     states.segment_motion[0, 0, 3] = 1e-7
     found = modal.wavefronts(model, modal.forms(model, motion, 16))
     traced = measure(prepared, states, NUMPY)

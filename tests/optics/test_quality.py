@@ -14,7 +14,7 @@ from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.optics.rays.pupils import PupilRays, sunflower
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import prepare, trace_states
-from wavequake.optics.segments.states import rest
+from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh, peak_to_valley, spot
 
 REFERENCE = Path(__file__).parents[1] / "data" / "tmt_optics.json"
@@ -89,15 +89,17 @@ def test_spots_of_the_thesis_telescope():
     fields = json.loads(REFERENCE.read_text())["fields"]
     system = telescope("tmt-thesis")
     nodes, weights = np.polynomial.legendre.leggauss(24)
-    r = np.sqrt(system.pupil_inner**2 + (system.pupil_outer**2 - system.pupil_inner**2) * (nodes + 1) / 2)
+    r = np.sqrt(
+        system.annulus.inner**2 + (system.annulus.outer**2 - system.annulus.inner**2) * (nodes + 1) / 2
+    )
     theta = 2 * np.pi * np.arange(96) / 96
     x, y = np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()
     rays = PupilRays(x, y, np.repeat(weights / 2 / 96, 96), np.zeros(len(x), dtype=np.int64))
     prepared = prepare(system, rays, 550e-6, 11)
-    states = rest(TILE, 1, len(system.surfaces))
+    states = rest_states(system, TILE)
     angles = np.zeros((TILE, 2))
     angles[: len(fields), 0] = np.deg2rad([field["field_arcmin"] / 60 for field in fields])
-    traced = trace_states(prepared, replace(states, field=angles), NUMPY)
+    traced = trace_states(prepared, replace(states, line_of_sight=angles), NUMPY)
     measured = spot(from_tiles(traced.x), from_tiles(traced.y), prepared.weight)
     expected = [1e3 * field["rms_spot_radius_m"] for field in fields]
     np.testing.assert_allclose(measured.rms[: len(fields)], expected, rtol=1e-6)

@@ -15,7 +15,6 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.segments.slopes import slope_fit
-from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.telescope import first_order, footprints
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere
@@ -30,10 +29,12 @@ EVEN = (0.0, 1.2e-15, -3e-22, 5e-29)
 
 def tmt18(even=(), radius=None, conic=None):
     system = telescope("tmt-18", gap=20.0)
-    m2 = system.surfaces[0]
+    m2 = system.after_primary[0]
     numbers = m2.shape.radius if radius is None else radius, m2.shape.conic if conic is None else conic
     shape = EvenAsphere(*numbers, even) if even else Conic(*numbers)
-    return replace(system, surfaces=(replace(m2, shape=shape), *system.surfaces[1:]))
+    return replace(
+        system, surfaces=(*system.surfaces[:2], replace(m2, shape=shape), *system.after_primary[1:])
+    )
 
 
 def prepared_of(system, **terms):
@@ -43,20 +44,21 @@ def prepared_of(system, **terms):
 def moved(prepared, mirror_terms=0):
     """Rest, a field point, and motions of segments, M2 and the image."""
     system = prepared.system
-    states = rest(16, len(system.segments), len(system.surfaces), 0, mirror_terms)
+    states = rest_states(system, 16)
     random = np.random.default_rng(5)
     states.segment_motion[3:] = random.normal(size=states.segment_motion[3:].shape) * 1e-5
-    states.surface_motion[3:, 0] = random.normal(size=(13, 6)) * [0.1, 0.1, 0.1, 1e-5, 1e-5, 1e-5]
-    states.field[1:] = [2e-4, -1e-4]
+    states.surface_motion[3:, 2] = random.normal(size=(13, 6)) * [0.1, 0.1, 0.1, 1e-5, 1e-5, 1e-5]
+    states.line_of_sight[1:] = [2e-4, -1e-4]
     if mirror_terms:
-        states.mirror_figure[5:, :, 3:] = 1e-4 * random.normal(size=states.mirror_figure[5:, :, 3:].shape)
+        for figure in states.deformations[2:4]:
+            figure[5:, 3:] = 1e-4 * random.normal(size=(11, mirror_terms - 3))
     return states
 
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_a_plane_with_a_square_term_is_a_paraboloid(device):
     conic = tmt18(conic=-1.0)
-    radius = conic.surfaces[0].shape.radius
+    radius = conic.after_primary[0].shape.radius
     even = tmt18(radius=np.inf, conic=0.0, even=(0.5 / radius,))
     for name, value in vars(first_order(conic)).items():
         assert vars(first_order(even))[name] == pytest.approx(value, rel=1e-11, abs=1e-7)
@@ -73,8 +75,8 @@ def test_a_plane_with_a_square_term_is_a_paraboloid(device):
 def test_the_sequential_tracer_agrees(device):
     system = tmt18(even=EVEN)
     prepared = prepared_of(system)
-    states = rest(16, 18, 3)
-    states.field[:] = [2e-4, -1e-4]
+    states = rest_states(system, 16)
+    states.line_of_sight[:] = [2e-4, -1e-4]
     ours = trace_states(prepared, states, choose_device(device))
     x, y = prepared.rays.x, prepared.rays.y
     direction = np.array([np.tan(2e-4), np.tan(-1e-4), 1.0])
@@ -105,15 +107,15 @@ def test_devices_agree_where_mirrors_move_and_deform(device):
 def test_a_figure_adds_to_an_asphere():
     """Spherical aberration as a figure of M2 takes away what the fourth power adds."""
     bare, even = (prepared_of(tmt18(**one), mirror_terms=11) for one in ({}, {"even": (0.0, 1.2e-16)}))
-    states = rest(16, 18, 3, 0, 11)
+    states = rest_states(even.system, 16)
     reach = footprints(even.system)[0]
     height = -1.2e-16 * reach**4
     # rho^4 = 1/3 + (j = 4) / (2 sqrt 3) + (j = 11) / (6 sqrt 5), Noll.
     parts = {0: 1.0 / 3.0, 3: 1.0 / (2.0 * np.sqrt(3.0)), 10: 1.0 / (6.0 * np.sqrt(5.0))}
     for term, share in parts.items():
-        states.mirror_figure[:, 0, term] = height * share
+        states.deformations[2][:, term] = height * share
     found = trace_states(even, states, NUMPY)
-    expected = trace_states(bare, rest(16, 18, 3, 0, 11), NUMPY)
+    expected = trace_states(bare, rest_states(bare.system, 16), NUMPY)
     for name in ("x", "y", "opd"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=0.0, atol=2e-9)
 

@@ -14,14 +14,11 @@ from wavequake.optics.media.glasses import AIR, constant, glass
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import PupilRays, segment_rays
 from wavequake.optics.segments.catalog import telescope
-from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.segments.slopes import slope_fit
-from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.telescope import Row, first_order, footprints, sequential_surfaces
 from wavequake.optics.segments.wavefront import analyse
-from wavequake.optics.systems.bodies import rigid_body, with_bodies
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 
@@ -33,14 +30,14 @@ BK7, F2 = glass("N-BK7"), glass("F2")
 def tmt18(*behind, image=500.0):
     """A telescope of 18 segments whose light goes 19.5 m behind M3, and then through more surfaces."""
     system = telescope("tmt-18", gap=20.0)
-    m2 = system.surfaces[0]
+    m2 = system.after_primary[0]
     rows = [
         Row("M2", m2.shape.radius, m2.shape.conic, 27093.75),
         Row("M3", np.inf, 0.0, 23593.75, tilt=np.pi / 4.0),
         *behind,
         Row("image", np.inf, 0.0, image),
     ]
-    return replace(system, surfaces=sequential_surfaces(rows))
+    return replace(system, surfaces=(*system.surfaces[:2], *sequential_surfaces(rows)))
 
 
 def corrector(tilt=0.05, image=7873.0):
@@ -67,7 +64,7 @@ def traced_in_sequence(system, rays, field, wavelength, motion=None, spheres=Non
     parent = replace(parent, surfaces=tuple(replace(one, opening=None) for one in parent.surfaces))
     states = rest_states(parent)
     if motion is not None:
-        states.surface_motion[0, 2:] = motion
+        states.surface_motion[0] = motion
     return trace_sequence_numpy(pack(parent, wavelength), rays, moving(parent, states, spheres))
 
 
@@ -76,11 +73,11 @@ def traced_in_sequence(system, rays, field, wavelength, motion=None, spheres=Non
 def test_the_sequential_tracer_agrees_also_where_lenses_move(device, wavelength):
     system = corrector()
     prepared = prepare(system, segment_rays(system.segments, 3), wavelength, 15)
-    field, states = (2e-4, -1e-4), rest(16, 18, len(system.surfaces))
+    field, states = (2e-4, -1e-4), rest_states(system, 16)
     own = np.random.default_rng(3).normal(size=(len(system.surfaces), 6)) * ([0.1] * 3 + [1e-4] * 3)
-    states.field[:] = field
-    for index, surface in enumerate(system.surfaces):
-        states.surface_motion[1:, index] = in_optics_frame(own[index : index + 1], surface.rotation)
+    states.line_of_sight[:] = field
+    own[:2] = 0.0
+    states.surface_motion[1:] = own
     ours = trace_states(prepared, states, choose_device(device))
     assert not np.asarray(ours.status).any()
     axis = PupilRays(*np.zeros((4, 1)))
@@ -97,7 +94,7 @@ def test_the_sequential_tracer_agrees_also_where_lenses_move(device, wavelength)
 
 @pytest.mark.parametrize("wavelength", COLORS)
 def test_first_order_data_are_those_of_the_parent_in_each_color(wavelength):
-    system = replace(corrector(tilt=0.0), wavelength=wavelength)
+    system = replace(corrector(tilt=0.0), wavelengths=np.array([wavelength]))
     ours, theirs = first_order(system), paraxial(parent_system(system))
     assert ours.focal_length == pytest.approx(theirs.focal_length, rel=1e-9)
     assert ours.exit_pupil_distance == pytest.approx(-theirs.exit_pupil, rel=1e-9)
@@ -116,7 +113,7 @@ def test_a_plate_shifts_the_focus_as_snell_says(device):
         -thickness * (1.0 - 1.0 / index), rel=1e-9
     )
     assert first_order(glazed).focal_length == pytest.approx(first_order(bare).focal_length, rel=1e-12)
-    still = rest(16, 18, 3), rest(16, 18, 5)
+    still = rest_states(bare, 16), rest_states(glazed, 16)
     both = [prepare(one, segment_rays(one.segments, 3), 550e-6, 15) for one in (bare, glazed)]
     one, other = (
         trace_states(each, state, choose_device(device)) for each, state in zip(both, still, strict=True)
@@ -136,8 +133,8 @@ def test_wavefronts_by_slopes_and_by_paths_agree_behind_lenses():
     system = corrector()
     prepared = prepare(system, segment_rays(system.segments, 3), 550e-6, 15)
     slopes = replace(prepared, slopes=slope_fit(prepared))
-    states = rest(16, 18, len(system.surfaces))
-    states.surface_motion[1:, 4, 0] = 0.5
+    states = rest_states(system, 16)
+    states.surface_motion[1:, 6, 0] = 0.5
     both = []
     for one in (prepared, slopes):
         traced = trace_states(one, states, choose_device("numpy"))
@@ -156,8 +153,8 @@ def test_totally_reflected_light_is_lost_there(device):
     ]
     system = tmt18(*rows, image=3000.0)
     prepared = prepare(system, segment_rays(system.segments, 3), 550e-6, 15)
-    states = rest(16, 18, 5)
-    states.surface_motion[8:, 3, 5] = np.radians(50.0)  # the beam is along x there
+    states = rest_states(system, 16)
+    states.surface_motion[8:, 5, 4] = np.radians(50.0)
     status = np.asarray(trace_states(prepared, states, choose_device(device)).status)
     assert (status[..., :8] == 0).all()
     assert (status[..., 8:] == lost_at(TOTAL_REFLECTION, 3)).all()
@@ -166,11 +163,11 @@ def test_totally_reflected_light_is_lost_there(device):
 def test_footprints_are_where_the_rim_of_the_pupil_arrives():
     whole = corrector()
     azimuth = 2.0 * np.pi * np.arange(64) / 64
-    rim = PupilRays(*(whole.pupil_outer * np.array([np.cos(azimuth), np.sin(azimuth)])), *np.ones((2, 64)))
+    rim = PupilRays(*(whole.annulus.outer * np.array([np.cos(azimuth), np.sin(azimuth)])), *np.ones((2, 64)))
     for plane in (3, 7):  # the window's back, and the fold
-        end = replace(whole.surfaces[plane], action="pass")
-        cut = replace(whole, surfaces=(*whole.surfaces[:plane], end))
-        traced = traced_in_sequence(cut, rim, (0.0, 0.0), whole.wavelength)
+        end = replace(whole.after_primary[plane], action="pass")
+        cut = replace(whole, surfaces=(*whole.surfaces[: 2 + plane], end))
+        traced = traced_in_sequence(cut, rim, (0.0, 0.0), whole.wavelengths[0])
         radius = np.hypot(traced.x, traced.y).max()
         assert footprints(whole)[plane] == pytest.approx(radius, rel=1e-9)
 
@@ -184,7 +181,7 @@ def test_a_field_lens_moves_the_exit_pupil_and_leaves_the_wavefront(device, radi
     for behind, image in (((), 20000.0), (lens, 0.5)):
         system = tmt18(*behind, image=image)
         prepared = prepare(system, segment_rays(system.segments, 3), 550e-6, 15)
-        states = rest(16, 18, len(system.surfaces))
+        states = rest_states(system, 16)
         states.segment_motion[1:, 4, 2] = 1e-4
         traced = trace_states(prepared, states, choose_device(device))
         wavefront = analyse(prepared, traced, chief_rays(prepared, states))
@@ -192,19 +189,6 @@ def test_a_field_lens_moves_the_exit_pupil_and_leaves_the_wavefront(device, radi
     # Light goes against z there: the center of a convex face lies on -z.
     assert prepared.train.sphere_radius == pytest.approx(radius, rel=0.01)
     np.testing.assert_allclose(found[1][3:], found[0][3:], atol=1e-3 * np.abs(found[0]).max())
-
-
-def test_bodies_carry_their_surfaces_as_those_of_the_parent_do():
-    whole = corrector()
-    system, doublet = replace(whole, bodies={"doublet": (4, 5, 6)}), whole.surfaces[4:7]
-    own = np.random.default_rng(1).normal(size=(16, 6)) * ([0.1] * 3 + [1e-3] * 3)
-    parent = parent_system(system)
-    body = rigid_body(parent, "doublet", [one.name for one in doublet])
-    expected = with_bodies(parent, np.zeros((16, len(parent.surfaces), 6)), [(body, own)])[:, 6:9]
-    ours = carried(system, system.bodies["doublet"], own)
-    for place, surface in enumerate(doublet):
-        theirs = in_optics_frame(expected[:, place], surface.rotation)
-        np.testing.assert_allclose(ours[:, place], theirs, rtol=0.0, atol=1e-13)
 
 
 def test_sentences_of_glass(tmp_path):
@@ -223,7 +207,7 @@ def test_sentences_of_glass(tmp_path):
     def build(rows):
         return telescope("custom", polygons=polygons, primary_radius=-10000.0, surfaces=rows)
 
-    assert build(surfaces(glass="SCHOTT:N-BK7")).surfaces[1].medium.catalogue == "SCHOTT"
+    assert build(surfaces(glass="SCHOTT:N-BK7")).after_primary[1].medium.catalogue == "SCHOTT"
     for keys, sentence in (
         ({"glass": "N-BK8"}, "The surface 'lens': .*N-BK8"),
         ({"glass": -1.5}, "glass = -1.5; it must be the name of a glass, a positive index"),
@@ -233,7 +217,7 @@ def test_sentences_of_glass(tmp_path):
             build(surfaces(**keys))
     rows = surfaces(glass="N-BK7")
     lens = [row | {"body": "lens 1"} for row in rows[1:3]]
-    assert build([rows[0], *lens, rows[3]]).bodies == {"lens 1": (1, 2)}
+    assert build([rows[0], *lens, rows[3]]).bodies == {"lens 1": ("lens", "back")}
     with pytest.raises(UserError, match=r'meets the image in N-BK7, behind .lens.; .* glass = "air"'):
         build([rows[0], rows[1], rows[3]])
     with pytest.raises(UserError, match=r"is the image plane; it must have .* no glass"):
@@ -242,4 +226,4 @@ def test_sentences_of_glass(tmp_path):
         with pytest.raises(UserError, match="is called as a surface" if place == 1 else "are of mirrors and"):
             build([row | {"body": name} if row is rows[place] else row for row in rows])
     with pytest.raises(UserError, match=r"The index of SCHOTT N-BK7|The index of N-BK7 is known from"):
-        first_order(replace(build(rows), wavelength=20e-3))
+        first_order(replace(build(rows), wavelengths=np.array([20e-3])))

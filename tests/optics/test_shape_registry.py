@@ -27,7 +27,7 @@ from wavequake.optics.shapes.shape import SHAPES, Shape, register
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, ExtendedPolynomial, GridSag, ZernikeSag
 from wavequake.optics.systems.file import SystemSection, build
 from wavequake.optics.systems.kinematics import rest_states
-from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, Pupil, States, Surface
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.optics.zemax.export import zmx_text
 from wavequake.optics.zemax.read import parse_zmx
@@ -120,7 +120,7 @@ def test_rays_end_on_it_and_come_back_the_same_way(name, device):
             Pupil("entrance_diameter", 1.0),
             medium=constant(index_before),
         )
-        rest = moving(system, SystemStates(np.zeros((1, 2, 6)), (None, None), np.zeros((1, 2))))
+        rest = moving(system, States(np.zeros((1, 2, 6)), (None, None), np.zeros((1, 2))))
         sequence = pack(system, 550e-6)
         first = type(sequence)(sequence.elements[:1], sequence.index)
         rays = Rays(position, direction, np.zeros(32))

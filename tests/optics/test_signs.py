@@ -190,7 +190,7 @@ def test_the_stored_image_is_huygens_sum_over_traced_rays(name, what, monkeypatc
     """Also raw rms, Strehl ratio, centroid and LOS of the same instant; 18 rays per segment against 750."""
     case_study, bench, tracer = tables(name)
     wavelength, focal_length = bench.prepared.wavelength, bench.first_order.focal_length
-    diameter = 2 * bench.system.pupil_outer
+    diameter = 2 * bench.system.annulus.outer
     resolved = wavelength / diameter
     motion = still(1, 18)
     m2 = (0.0, 0.0)
@@ -292,7 +292,7 @@ def test_a_mirror_that_tilts_as_one_moves_los_centroid_and_image_alike_behind_an
     np.testing.assert_allclose(got["centroid"], [[0, -40]] * 2, rtol=0, atol=0.4)
     np.testing.assert_allclose(got["los"], [[0, -40]] * 2, rtol=0, atol=0.4)
     row, column = np.unravel_index(got["exposure"].argmax(), (24, 24))
-    expected = -40 * MAS / (550e-6 / (2 * bench.system.pupil_outer)) / 0.25
+    expected = -40 * MAS / (550e-6 / (2 * bench.system.annulus.outer)) / 0.25
     assert column == 12
     assert abs(row - 12 - expected) < 1
 

@@ -12,11 +12,11 @@ from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.rays.pupils import PupilRays, sunflower
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import monolithic
-from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
+from wavequake.optics.segments.prepared import at_field, chief_rays, prepare, trace_states
 from wavequake.optics.segments.slopes import slope_fit, wavefront_from_slopes
-from wavequake.optics.segments.states import rest
-from wavequake.optics.segments.telescope import Row, SegmentedTelescope, sequential_surfaces
+from wavequake.optics.segments.telescope import Row, segmented_telescope, sequential_surfaces
 from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.systems.kinematics import rest_states
 
 WAVELENGTH = 550e-6
 FIVE_ARCMIN = np.deg2rad(5 / 60)
@@ -31,7 +31,7 @@ def quadrature_rays(inner, outer, radii=16, azimuths=48):
 
 
 def states_of(prepared, batch=TILE):
-    return rest(batch, len(prepared.system.segments), len(prepared.system.surfaces))
+    return rest_states(prepared.system, batch)
 
 
 def trace(prepared, states):
@@ -41,7 +41,7 @@ def trace(prepared, states):
 @pytest.fixture(scope="module")
 def thesis():
     system = telescope("tmt-thesis")
-    return prepare(system, quadrature_rays(system.pupil_inner, system.pupil_outer), WAVELENGTH, 91)
+    return prepare(system, quadrature_rays(system.annulus.inner, system.annulus.outer), WAVELENGTH, 91)
 
 
 @pytest.mark.parametrize(
@@ -55,19 +55,12 @@ def thesis():
     ],
 )
 def test_slopes_and_path_lengths_agree_at_the_reference(thesis, field, m2):
-    states = states_of(thesis)
-    states.field[:], states.surface_motion[:, 0] = field, m2
-    states.surface_motion[:, -1] = [
-        0.1,
-        0.2,
-        0.3,
-        1e-3,
-        -2e-3,
-        3e-3,
-    ]  # a detector out of place changes little
-    traced, chief = trace(thesis, states)
-    expected = analyse(thesis, traced, chief).zernike
-    coefficients = wavefront_from_slopes(slope_fit(thesis, field, states.surface_motion[0]), traced, chief)
+    states, prepared = states_of(thesis), at_field(thesis, field)
+    states.surface_motion[:, 2] = m2
+    states.surface_motion[:, -1] = 0.1, 0.2, 0.3, 1e-3, -2e-3, 3e-3  # a detector out of place changes little
+    traced, chief = trace(prepared, states)
+    expected = analyse(prepared, traced, chief).zernike
+    coefficients = wavefront_from_slopes(slope_fit(prepared, states.surface_motion[0]), traced, chief)
     assert np.isnan(coefficients[:, 0]).all()
     np.testing.assert_allclose(coefficients[:, 1:], expected[:, 1:], rtol=0, atol=1e-7)
     assert np.abs(expected[0, 1:]).max() > 1e-3
@@ -77,7 +70,7 @@ def test_one_fit_holds_for_small_motions(thesis):
     """Waves of tilt, coma and defocus by motions of M2, all from the fit about rest."""
     states = states_of(thesis)
     for instant, dof in enumerate((0, 1, 2, 3, 4)):
-        states.surface_motion[instant, 0, dof] = (0.1, 0.1, 0.05, 1e-5, 1e-5)[instant]
+        states.surface_motion[instant, 2, dof] = (0.1, 0.1, 0.05, 1e-5, 1e-5)[instant]
     traced, chief = trace(thesis, states)
     expected = analyse(thesis, traced, chief).zernike[:5, 1:]
     coefficients = wavefront_from_slopes(slope_fit(thesis), traced, chief)[:5, 1:]
@@ -89,16 +82,16 @@ def test_one_fit_holds_for_small_motions(thesis):
 def test_slopes_agree_behind_an_intermediate_image():
     """A Gregorian telescope turns its pupil over: the exit pupil is M1's image behind the prime focus."""
     rows = [Row("M2", 500.0, -4 / 9, 1300.0), Row("image", inf, 0.0, 1500.0)]
-    system = SegmentedTelescope(
+    system = segmented_telescope(
         "gregorian", monolithic(100.0), -2000.0, -1.0, sequential_surfaces(rows), -2.5, 30.0, 100.0
     )
     prepared = prepare(system, quadrature_rays(30.0, 100.0), WAVELENGTH, 45)
     states = states_of(prepared)
-    states.surface_motion[:, 0] = [0.2, -0.3, 0.1, 1e-3, 2e-3, 0]
-    states.field[:] = field = 1e-3, -2e-3
+    states.surface_motion[:, 2] = [0.2, -0.3, 0.1, 1e-3, 2e-3, 0]
+    prepared = at_field(prepared, (1e-3, -2e-3))
     traced, chief = trace(prepared, states)
     expected = analyse(prepared, traced, chief).zernike
-    coefficients = wavefront_from_slopes(slope_fit(prepared, field, states.surface_motion[0]), traced, chief)
+    coefficients = wavefront_from_slopes(slope_fit(prepared, states.surface_motion[0]), traced, chief)
     np.testing.assert_allclose(coefficients[:, 1:], expected[:, 1:], rtol=0, atol=1e-8)
     assert np.abs(expected[0, 1:]).max() > 0.1
 
@@ -111,7 +104,7 @@ def test_a_displaced_paraboloid_in_closed_form():
     """
     outer, inner, radius = 500.0, 150.0, -2000.0
     surfaces = sequential_surfaces([Row("camera", inf, 0.0, 1000.0)])
-    system = SegmentedTelescope(
+    system = segmented_telescope(
         "paraboloid", monolithic(outer), radius, -1.0, surfaces, outer**2 / 2 / radius, inner, outer
     )
     prepared = prepare(system, quadrature_rays(inner, outer), WAVELENGTH, 66)
@@ -138,7 +131,7 @@ def test_a_displaced_paraboloid_in_closed_form():
 
 def test_lost_rays_are_left_out(thesis):
     states = states_of(thesis)
-    states.surface_motion[:, 0, 3] = 1e-5
+    states.surface_motion[:, 2, 3] = 1e-5
     traced, chief = trace(thesis, states)
     fit = slope_fit(thesis)
     expected = wavefront_from_slopes(fit, traced, chief)
@@ -158,7 +151,7 @@ def test_lost_rays_are_left_out(thesis):
 def test_segment_pistons_are_invisible_segment_tilts_are_not():
     system = telescope("tmt-18")
     centers = system.segments.centers
-    rays = sunflower(system.pupil_inner, system.pupil_outer, 400)
+    rays = sunflower(system.annulus.inner, system.annulus.outer, 400)
     nearest = np.argmin(np.hypot(rays.x[:, None] - centers[:, 0], rays.y[:, None] - centers[:, 1]), axis=1)
     prepared = prepare(system, replace(rays, segment=nearest), WAVELENGTH, 21)
     states = states_of(prepared)
@@ -177,10 +170,10 @@ def test_segment_pistons_are_invisible_segment_tilts_are_not():
 
 def test_an_unknown_motion_spoils_its_own_instant_only(thesis):
     states = states_of(thesis)
-    states.surface_motion[:, 0, 3] = 1e-6
+    states.surface_motion[:, 2, 3] = 1e-6
     fit = slope_fit(thesis)
     expected = wavefront_from_slopes(fit, *trace(thesis, states))
-    states.surface_motion[7, 0, 0] = np.nan
+    states.surface_motion[7, 2, 0] = np.nan
     coefficients = wavefront_from_slopes(fit, *trace(thesis, states))
     assert np.isnan(coefficients[7]).all()
     np.testing.assert_array_equal(np.delete(coefficients, 7, axis=0), np.delete(expected, 7, axis=0))
@@ -188,8 +181,8 @@ def test_an_unknown_motion_spoils_its_own_instant_only(thesis):
 
 def test_bad_references_are_named(thesis):
     with pytest.raises(UserError, match="do not reach the image"):
-        slope_fit(thesis, (1.2, 0.0))
+        slope_fit(at_field(thesis, (1.2, 0.0)))
     with pytest.raises(UserError, match="do not reach the image"):
-        slope_fit(thesis, (np.nan, 0.0))
-    with pytest.raises(UserError, match=r"must be \(3, 6\)"):
+        slope_fit(at_field(thesis, (np.nan, 0.0)))
+    with pytest.raises(UserError, match=r"must be \(5, 6\)"):
         slope_fit(thesis, motion=np.zeros(6))

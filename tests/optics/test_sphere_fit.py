@@ -13,8 +13,8 @@ from wavequake.optics.rays.pupils import PupilRays
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.segments.slopes import sphere_points
-from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.sphere_fit import fit_sphere, reference_fit
 
 
@@ -101,7 +101,7 @@ def test_points_that_determine_no_sphere_give_nan():
 @pytest.fixture(scope="module")
 def thesis():
     system = telescope("tmt-thesis")
-    inner, outer = system.pupil_inner, system.pupil_outer
+    inner, outer = system.annulus.inner, system.annulus.outer
     nodes, weights = np.polynomial.legendre.leggauss(16)
     r, theta = np.sqrt(inner**2 + (outer**2 - inner**2) * (nodes + 1) / 2), 2 * np.pi * np.arange(48) / 48
     x, y = np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()
@@ -112,9 +112,9 @@ def thesis():
 @pytest.fixture(scope="module")
 def disturbed(thesis):
     """Rays and chief rays of motions of M2: tilts of 1 to 10 urad with their coma, shifts and a focus."""
-    states = rest(TILE, 1, len(thesis.system.surfaces))
+    states = rest_states(thesis.system, TILE)
     for instant, (dof, size) in enumerate([(3, 1e-6), (4, -1e-5), (0, 0.05), (1, -0.02), (2, 0.01)], start=1):
-        states.surface_motion[instant, 0, dof] = size
+        states.surface_motion[instant, 2, dof] = size
     return trace_states(thesis, states, NUMPY), chief_rays(thesis, states)
 
 
@@ -141,7 +141,7 @@ def test_the_linear_fit_is_the_sphere_through_the_wavefronts_points(thesis, dist
     """A point of the wavefront lies its OPD beyond the reference sphere along the ray, that is, inwards."""
     traced, chief = disturbed
     radius = thesis.train.sphere_radius
-    across = sphere_points(thesis, rest(TILE, 1, len(thesis.system.surfaces)))[2]
+    across = sphere_points(thesis, rest_states(thesis.system, TILE))[2]
     sphere = np.column_stack([across, -np.sqrt(radius**2 - np.sum(across**2, axis=1))])
     points = sphere * (1.0 - traced.opd[0].T[..., None] / radius)
     centers = fit_sphere(points, thesis.weight).center[:, :2]

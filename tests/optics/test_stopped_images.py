@@ -74,7 +74,7 @@ def test_a_round_mirror_that_stops_the_corners_makes_airys_pattern(figured, monk
     share = np.pi * BEAM**2 / (2 * SIDE) ** 2
     assert bench.stopped.light == pytest.approx(share, rel=2e-3)
     got = computed(case_study, monkeypatch, still(1, 4))
-    smaller = BEAM / bench.system.pupil_outer
+    smaller = BEAM / bench.system.annulus.outer
     axis = (np.arange(48) - 24) * 0.25 * smaller * np.pi
     v = np.hypot(axis, axis[:, None])
     airy = np.where(v == 0.0, 1.0, (2 * j1(v) / np.where(v == 0.0, 1.0, v)) ** 2)
@@ -91,7 +91,7 @@ def test_a_round_mirror_that_stops_the_corners_makes_airys_pattern(figured, monk
 def test_the_image_is_huygens_sum_over_the_rays_that_arrive(monkeypatch):
     case_study = study(10.0, 8000)
     bench = bench_of(case_study.identity_text())
-    wavelength, diameter = 550e-6, 2 * bench.system.pupil_outer
+    wavelength, diameter = 550e-6, 2 * bench.system.annulus.outer
     motion = still(1, 4)
     motion.segment_motion[0, 0, 2] = 0.12 * wavelength * 1e-3
     motion.segment_motion[0, 2, 3], motion.segment_motion[0, 3, 4] = (
@@ -115,7 +115,7 @@ def test_a_ray_that_motion_takes_past_an_edge_is_dark_at_that_instant_alone(monk
     """The corner of the pupil clears the fold by 2 um; a tilt of the line of sight by 1 lambda/D takes 7."""
     free = study(10.0, 800, edge=1e4)
     bench = bench_of(free.identity_text())
-    rays, weight, diameter = bench.prepared.rays, bench.prepared.weight, 2 * bench.system.pupil_outer
+    rays, weight, diameter = bench.prepared.rays, bench.prepared.weight, 2 * bench.system.annulus.outer
     radius = np.hypot(rays.x, rays.y)
     corner, last = radius.max(), int(np.argmax(radius))
     outwards = np.array([rays.x[last], rays.y[last]]) / corner
@@ -163,7 +163,7 @@ def test_coherent_objects_miss_the_light_that_a_mirror_stops(monkeypatch):
     case_study = study(1e-6, 8000, imaging={"pixels": 32, "sampling": 0.2}, object=slit)
     bench = bench_of(case_study.identity_text())
     got = computed(case_study, monkeypatch, still(1, 4))
-    smaller = BEAM / bench.system.pupil_outer
+    smaller = BEAM / bench.system.annulus.outer
     axis = (np.arange(32) - 16) * 0.2
     parts = (np.arange(5) - 2) * 0.04  # of a pixel
     along = (axis[:, None] + parts).ravel()
@@ -198,7 +198,7 @@ def test_controllers_expose_the_light_that_a_mirror_leaves():
     controllers = kind.template(one.identity_text()).fixed["controller"][1].tolist()
     images = dict(zip(controllers, found.arrays["exposure"][0], strict=True))
     bench = bench_of(study(1e-6, 8000).identity_text())
-    smaller = BEAM / bench.system.pupil_outer
+    smaller = BEAM / bench.system.annulus.outer
     axis = (np.arange(48) - 24) * 0.25 * smaller * np.pi
     v = np.maximum(np.hypot(axis, axis[:, None]), 1e-9)
     np.testing.assert_allclose(images["static"], (2 * j1(v) / v) ** 2, rtol=0, atol=1e-3)

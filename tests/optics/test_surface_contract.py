@@ -25,7 +25,7 @@ from wavequake.optics.shapes.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, Pupil, States, Surface
 
 RNG = np.random.default_rng(11)
 SHAPES = {
@@ -88,7 +88,7 @@ def test_rays_end_on_the_surface_and_obey_its_law(shape, form, action, device):
     for sense in (1.0, -1.0):
         one = Surface("surface", shape, action=action, medium=constant(1.4), deformation=form)
         system = OpticalSystem("one", (one, Surface("image")), 0, Pupil("entrance_diameter", 1.0))
-        states = SystemStates(np.zeros((2, 2, 6)), (numbers, None), np.zeros((2, 2)))
+        states = States(np.zeros((2, 2, 6)), (numbers, None), np.zeros((2, 2)))
         x, y = random.uniform(-45.0, 45.0, (2, 24))
         u, v = random.uniform(-0.15, 0.15, (2, 24))
         d = np.stack([u, v, sense * np.sqrt(1.0 - u**2 - v**2)])
@@ -131,7 +131,7 @@ def test_light_that_leaves_glass_at_a_flat_angle_is_totally_reflected(shape, dev
     limit = np.arcsin(1.0 / 1.5)
     d = np.stack([np.cos(a) * normal + np.sin(a) * across for a in (limit - 1e-6, limit + 1e-6)], axis=1)
     rays = Rays(np.array([[*point, z]]).T - 5.0 * d, d, np.zeros(2))
-    still = SystemStates(np.zeros((1, 2, 6)), (None, None), np.zeros((1, 2)))
+    still = States(np.zeros((1, 2, 6)), (None, None), np.zeros((1, 2)))
     sequence, light = pack(system, 550e-6), moving(system, still)
     first = type(sequence)(sequence.elements[:1], sequence.index)
     traced = trace_sequence(first, rays, type(light)(light.poses[:, :1]), device)

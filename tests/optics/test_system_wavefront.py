@@ -14,7 +14,7 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeDeformation
 from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, Pupil, States, Surface
 from wavequake.optics.wavefronts.fits import fit_instants
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system, trace_system
 
@@ -167,7 +167,7 @@ def test_no_instants_give_no_numbers():
     system = optical_system("gregorian")
     pupil = sunflower(0.0, 1.0, 40)
     prepared = prepare_system(system, pupil.x, pupil.y, pupil.weight, 11)
-    none = SystemStates(np.zeros((0, 4, 6)), (None,) * 4, np.zeros((0, 2)))
+    none = States(np.zeros((0, 4, 6)), (None,) * 4, np.zeros((0, 2)))
     found = measure_system(prepared, none, NUMPY)
     assert found.zernike.shape == (0, 11)
     assert found.los.shape == found.centroid.shape == (0, 2)

@@ -9,7 +9,8 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.segmented import SegmentedTrain, trace_chief
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import half_planes, tmt18_segments
-from wavequake.optics.segments.telescope import SegmentedTelescope, first_order, surface_transforms
+from wavequake.optics.segments.telescope import first_order, surface_transforms
+from wavequake.optics.systems.system import OpticalSystem
 
 NAMES = ["tmt", "tmt-18", "tmt-thesis", "jwst"]
 SURFACES = [
@@ -23,16 +24,16 @@ def jwst_table():
     return StringIO(files("wavequake.optics.segments").joinpath("jwst_segments.csv").read_text())
 
 
-def axial_rays(system: SegmentedTelescope, heights):
+def axial_rays(system: OpticalSystem, heights):
     """Trace rays through the undisturbed system; return image x, y and path lengths (ray, 3)."""
     train = SegmentedTrain(
-        primary_curvature=1.0 / system.primary_radius,
-        primary_conic=system.primary_conic,
+        primary_curvature=1.0 / system.primary.shape.radius,
+        primary_conic=system.primary.shape.conic,
         edges=half_planes(system.segments),
         figure_frames=np.zeros((len(system.segments), 4)),
         figure_degree=-1,
-        surface_curvatures=np.array([1.0 / surface.shape.radius for surface in system.surfaces]),
-        surface_conics=np.array([surface.shape.conic for surface in system.surfaces]),
+        surface_curvatures=np.array([1.0 / surface.shape.radius for surface in system.after_primary]),
+        surface_conics=np.array([surface.shape.conic for surface in system.after_primary]),
         sphere_radius=first_order(system).exit_pupil_distance,
     )
     poses = np.repeat(surface_transforms(system)[None, :, :, None], TILE, axis=3)
@@ -45,7 +46,7 @@ def axial_rays(system: SegmentedTelescope, heights):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_telescope_forms_an_image_on_axis(name):
     system = telescope(name)
-    heights = np.linspace(system.pupil_inner, system.pupil_outer, 6)
+    heights = np.linspace(system.annulus.inner, system.annulus.outer, 6)
     x, y, _ = axial_rays(system, heights).T
     radius = np.hypot(x, y).max()
     assert radius < {"tmt": 3e-4, "jwst": 1e-8}.get(name, 6e-3)  # mm; Table 4.2 is out of focus by 0.14 mm
@@ -56,28 +57,31 @@ def test_the_equivalent_of_the_jwst_is_exactly_stigmatic():
     optics = first_order(system)
     assert optics.focal_length == pytest.approx(131400.0, rel=1e-13)
     assert optics.defocus == pytest.approx(0.0, abs=1e-7)
-    assert system.surfaces[0].shape.radius == -1778.913
-    assert 7000.0 < -system.surfaces[0].position[2] < 7200.0
-    paths = axial_rays(system, np.linspace(0.0, system.pupil_outer, 9))[:, 2]  # Fermat: all alike
+    assert system.after_primary[0].shape.radius == -1778.913
+    assert 7000.0 < -system.after_primary[0].position[2] < 7200.0
+    paths = axial_rays(system, np.linspace(0.0, system.annulus.outer, 9))[:, 2]  # Fermat: all alike
     np.testing.assert_allclose(paths, paths[0], rtol=0, atol=1e-9)
 
 
 def test_prescriptions_of_the_tmt():
     official, table_4_2 = telescope("tmt"), telescope("tmt-thesis")
-    assert (official.primary_conic, official.surfaces[0].shape.radius) == (-1.00095348, -6227.67857)
-    assert (table_4_2.primary_conic, table_4_2.surfaces[0].shape.radius) == (-1.0009535, -6227.68)
+    assert (official.primary.shape.conic, official.after_primary[0].shape.radius) == (
+        -1.00095348,
+        -6227.67857,
+    )
+    assert (table_4_2.primary.shape.conic, table_4_2.after_primary[0].shape.radius) == (-1.0009535, -6227.68)
     for system in (official, table_4_2, telescope("tmt-18")):
-        assert system.primary_radius == -60000.0
-        assert system.surfaces[0].shape.conic == -1.31822813
+        assert system.primary.shape.radius == -60000.0
+        assert system.after_primary[0].shape.conic == -1.31822813
         assert system.stop_z == pytest.approx(-1874.9721, abs=1e-4)
-    assert (official.pupil_inner, official.pupil_outer) == (1512.2, 15000.0)
+    assert (official.annulus.inner, official.annulus.outer) == (1512.2, 15000.0)
     assert [len(telescope(name).segments) for name in NAMES] == [492, 18, 1, 18]
 
 
 @pytest.mark.parametrize("side", [3000.0, 15000 / np.sqrt(19)])
 def test_the_18_segments_fill_their_pupil_and_no_larger_annulus(side):
     system = telescope("tmt-18", side=side)
-    assert system.pupil_inner / system.pupil_outer == pytest.approx(1 / np.sqrt(13))
+    assert system.annulus.inner / system.annulus.outer == pytest.approx(1 / np.sqrt(13))
     edges = half_planes(tmt18_segments(side))
     corners = system.segments.corners.reshape(-1, 2)  # the narrowest places are at corners
     azimuth = np.append(np.linspace(0.0, 2 * np.pi, 361), np.arctan2(*corners.T[::-1]))[:, None, None]
@@ -86,10 +90,10 @@ def test_the_18_segments_fill_their_pupil_and_no_larger_annulus(side):
         x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
         return (edges[..., 0] * x + edges[..., 1] * y <= edges[..., 2] + 1e-6).all(axis=2).any(axis=1)
 
-    assert covered(system.pupil_inner).all()
-    assert covered(system.pupil_outer).all()
-    assert not covered(system.pupil_inner * 0.999).all()
-    assert not covered(system.pupil_outer * 1.001).all()
+    assert covered(system.annulus.inner).all()
+    assert covered(system.annulus.outer).all()
+    assert not covered(system.annulus.inner * 0.999).all()
+    assert not covered(system.annulus.outer * 1.001).all()
 
 
 def test_options_reach_the_segments():
@@ -105,14 +109,14 @@ def test_a_custom_telescope_like_the_jwst():
     jwst = telescope("jwst")
     np.testing.assert_array_equal(custom.segments.corners, jwst.segments.corners)
     np.testing.assert_array_equal(custom.segments.centers, jwst.segments.centers)
-    assert (custom.stop_z, custom.pupil_inner, custom.pupil_outer) == (
+    assert (custom.stop_z, custom.annulus.inner, custom.annulus.outer) == (
         jwst.stop_z,
-        jwst.pupil_inner,
-        jwst.pupil_outer,
+        jwst.annulus.inner,
+        jwst.annulus.outer,
     )
-    assert custom.pupil_inner == pytest.approx(667.604, abs=1e-3)
+    assert custom.annulus.inner == pytest.approx(667.604, abs=1e-3)
     assert first_order(custom).focal_length == pytest.approx(131400.0, rel=3e-3)
-    np.testing.assert_allclose(custom.surfaces[-1].position, [-3830.0, 0.0, 2896.0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(custom.after_primary[-1].position, [-3830.0, 0.0, 2896.0], rtol=0, atol=1e-9)
 
 
 def complaint(name, **options):

@@ -14,8 +14,8 @@ from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.rays.pupils import PupilRays
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
-from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.wavefront import analyse, measure
+from wavequake.optics.systems.kinematics import rest_states
 
 
 def arrays_of(wavefront):
@@ -36,7 +36,7 @@ def synthetic(prepared, waves, tiles=1):
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.integers(0, 2**32 - 1))
 def test_strehl_and_rms_do_not_depend_on_piston_and_tilt(tmt18, tilt_x, tilt_y, seed):
     rays, system = tmt18.rays, tmt18.system
-    x, y = rays.x / system.pupil_outer, rays.y / system.pupil_outer
+    x, y = rays.x / system.annulus.outer, rays.y / system.annulus.outer
     shape = 0.1 * np.random.default_rng(seed).normal(size=18)[rays.segment]
     flat, tilted = (
         analyse(tmt18, *synthetic(tmt18, shape + plane)) for plane in (0.0, 0.4 + tilt_x * x + tilt_y * y)
@@ -51,7 +51,7 @@ def test_strehl_and_rms_do_not_depend_on_piston_and_tilt(tmt18, tilt_x, tilt_y, 
 
 def test_eq_339_with_the_annular_factor_is_the_direction_of_a_plane_wavefront(thesis):
     """An OPD of a rho cos(theta) tilts the wavefront by a / R: the image moves by -a lambda / NA."""
-    x, y = thesis.rays.x / thesis.system.pupil_outer, thesis.rays.y / thesis.system.pupil_outer
+    x, y = thesis.rays.x / thesis.system.annulus.outer, thesis.rays.y / thesis.system.annulus.outer
     wavefront = analyse(thesis, *synthetic(thesis, 0.3 * x - 0.2 * y))
     expected = np.array([-0.3, 0.2]) * WAVELENGTH / thesis.numerical_aperture
     np.testing.assert_allclose(wavefront.los[0], expected, rtol=1e-12)
@@ -86,8 +86,8 @@ def test_lost_rays_are_left_out_of_their_instant_only(tmt18, device):
         np.testing.assert_array_equal(getattr(wavefront, name)[others], values[others], err_msg=name)
     kept, w = ~gone, waves[~gone, 9]
     system = tmt18.system
-    x, y = rays.x[kept] / system.pupil_outer, rays.y[kept] / system.pupil_outer
-    basis = annular_zernike(x, y, TERMS, system.pupil_inner / system.pupil_outer)
+    x, y = rays.x[kept] / system.annulus.outer, rays.y[kept] / system.annulus.outer
+    basis = annular_zernike(x, y, TERMS, system.annulus.inner / system.annulus.outer)
     np.testing.assert_allclose(
         wavefront.zernike[9], np.linalg.lstsq(basis, w, rcond=None)[0], rtol=0, atol=1e-10
     )
@@ -124,7 +124,7 @@ def test_a_segment_out_of_the_beam_is_reported(tmt18, device, motion):
 
 def test_an_instant_that_loses_all_rays_says_so(tmt18):
     states = states_of(tmt18)
-    states.surface_motion[2, 0, 0] = np.nan
+    states.surface_motion[2, 2, 0] = np.nan
     wavefront = measure(tmt18, states, NUMPY)
     assert wavefront.lost.tolist() == [len(tmt18.rays.x) if k == 2 else 0 for k in range(TILE)]
     assert wavefront.lost_segments[2].all()
@@ -137,7 +137,7 @@ def test_results_do_not_depend_on_the_margin(tmt18, cause):
     """Rays wander some 20 mm; with candidates for 0.5 mm only, those near an edge would be lost."""
     states = states_of(tmt18)
     if cause == "field":
-        states.field[:] = [1e-2, -0.5e-2]
+        states.line_of_sight[:] = [1e-2, -0.5e-2]
     else:
         dof, size = (5, 2e-2) if cause == "clocking" else (0, 20.0)
         states.segment_motion[:, :, dof] = size
@@ -156,8 +156,8 @@ def test_results_do_not_depend_on_the_batch(tmt18, device):
     rng = np.random.default_rng(11)
     states = states_of(tmt18, 3 * TILE)
     states.segment_motion[:] = rng.normal(size=states.segment_motion.shape) * [20, 20, 1e-4, 1e-7, 1e-7, 1e-2]
-    states.surface_motion[:] = rng.normal(size=states.surface_motion.shape) * 1e-6
-    states.field[:] = rng.normal(size=states.field.shape) * 1e-3
+    states.surface_motion[:, 2:] = rng.normal(size=(len(states), 3, 6)) * 1e-6
+    states.line_of_sight[:] = rng.normal(size=states.line_of_sight.shape) * 1e-3
     parts = {name: values[TILE : 2 * TILE] for name, values in vars(states).items() if values is not None}
     one = replace(states, **parts)
     batch, alone = measure(tmt18, states, device), measure(tmt18, one, device)
@@ -229,13 +229,13 @@ def test_figures_must_fit(tmt18):
 @pytest.mark.parametrize("batch", [0, 5])
 def test_a_batch_is_of_whole_tiles(tmt18, batch):
     with pytest.raises(UserError, match=r"it must be \(whole number of tiles of 16, 2\)"):
-        measure(tmt18, rest(batch, 18, len(tmt18.system.surfaces)), NUMPY)
+        measure(tmt18, rest_states(tmt18.system, batch), NUMPY)
 
 
 def test_rms_and_peak_to_valley_about_the_plane_and_the_spot_against_a_direct_evaluation(tmt18):
     """Lane 3 loses every 7th ray, lane 5 all of them; planes by NumPy's least squares, ray by ray."""
     random = np.random.default_rng(20)
-    states = rest(TILE, 18, len(tmt18.system.surfaces))
+    states = rest_states(tmt18.system, TILE)
     states.segment_motion[..., 2:5] = random.normal(size=(TILE, 18, 3)) * np.array([5e-5, 2e-8, 2e-8])
     states.segment_motion[5] = np.nan
     traced = trace_states(tmt18, states, NUMPY)

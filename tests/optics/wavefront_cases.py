@@ -1,7 +1,6 @@
 """What tests of telescopes' wavefronts share: rays, motions, devices."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,8 @@ from wavequake.optics.rays.pupils import PupilRays
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import Segments
 from wavequake.optics.segments.prepared import prepare
-from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.telescope import with_segments
+from wavequake.optics.systems.kinematics import rest_states
 
 DATA = Path(__file__).parents[1] / "data"
 WAVELENGTH = 550e-6
@@ -38,7 +38,7 @@ def quadrature_rays(inner, outer, radii=24, azimuths=96):
 
 def sunflower_rays(system, count=2000):
     """Equal areas over the annulus, each ray with the segment whose center is nearest (regular hexagons)."""
-    i, inner, outer = np.arange(count), system.pupil_inner, system.pupil_outer
+    i, inner, outer = np.arange(count), system.annulus.inner, system.annulus.outer
     r = np.sqrt(inner**2 + (i + 0.5) / count * (outer**2 - inner**2))
     x, y = r * np.cos(i * np.pi * (3 - np.sqrt(5))), r * np.sin(i * np.pi * (3 - np.sqrt(5)))
     centers = system.segments.centers
@@ -57,8 +57,7 @@ def local_motion(segments, in_optics_frame):
 
 
 def states_of(prepared, batch=TILE):
-    segments, _, terms = prepared.figure_matrix.shape
-    return rest(batch, segments, len(prepared.system.surfaces), terms)
+    return rest_states(prepared.system, batch)
 
 
 def slope(values, step):
@@ -78,4 +77,4 @@ def two_of_492(names):
     side = edge[..., :1] * (y - corners[..., 1:]) - edge[..., 1:] * (x - corners[..., :1])
     segment, point = np.nonzero((side > 0).all(axis=1))
     rays = PupilRays(x[point], y[point], np.ones(len(point)), segment)
-    return prepare(replace(whole, segments=segments), rays, WAVELENGTH, 3)
+    return prepare(with_segments(whole, segments), rays, WAVELENGTH, 3)

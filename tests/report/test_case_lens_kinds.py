@@ -22,7 +22,6 @@ from wavequake.optics.rays.pupils import segment_rays
 from wavequake.optics.segments.alone import segment_systems
 from wavequake.optics.segments.catalog import telescope as catalog_telescope
 from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
-from wavequake.optics.segments.states import rest
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.fits import fit_instants
 from wavequake.optics.wavefronts.wavefront import prepare_system, trace_system
@@ -146,7 +145,7 @@ def test_segments_that_deform_are_lens_files(tmp_path, name, terms, some):
     """Polynomials about their centers, moved with them, beside the telescope's own trace of them."""
     telescope = catalog_telescope(name)
     prepared = prepare(telescope, segment_rays(telescope.segments, 3), 550e-6, 15, terms)
-    states = rest(TILE, len(telescope.segments), len(telescope.surfaces), terms)
+    states = rest_states(prepared.system, TILE)
     random = np.random.default_rng(5)
     states.segment_motion[0] = random.normal(size=(len(telescope.segments), 6)) * ([1e-3] * 3 + [1e-7] * 3)
     states.segment_figure[0] = random.normal(size=(len(telescope.segments), terms)) * 5e-5
@@ -215,7 +214,8 @@ LOOP = "".join(
 def wavefront_of(files, prepared):
     """Trace the files of all segments: rms beside the plane and of Noll 4 and up, nm; line of sight, mm."""
     waves, rays = np.full(len(prepared.weight), np.nan), prepared.rays
-    sphere = np.array([[*prepared.chief, 0.0, prepared.train.sphere_radius]])
+    chief = chief_rays(prepared, rest_states(prepared.system, TILE))[0, :2, 0]
+    sphere = np.array([[*chief, 0.0, prepared.train.sphere_radius]])
     for number, file in enumerate(files):
         mine, found = traced_alone(file, rays, number, prepared.wavelength, sphere)
         waves[mine] = -found.path[0] / prepared.wavelength
@@ -227,7 +227,7 @@ def wavefront_of(files, prepared):
     )
     flat = np.sqrt(np.sum((share * (waves - prepared.plane.basis @ plane)) ** 2))
     steep = np.hypot(1.0, prepared.obscuration) * prepared.numerical_aperture
-    los = prepared.chief - 2.0 * prepared.wavelength / steep * zernike[1:3]
+    los = chief - 2.0 * prepared.wavelength / steep * zernike[1:3]
     nm = 1e6 * prepared.wavelength
     return nm * flat, nm * np.linalg.norm(zernike[3:]), los
 

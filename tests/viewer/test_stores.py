@@ -11,7 +11,7 @@ import wavequake as wq
 from wavequake.campaign.store.store import read_manifest
 from wavequake.control.bench import SENSITIVITIES
 from wavequake.optics.shapes.sag import deformation_sag
-from wavequake.optics.systems.system import SystemStates
+from wavequake.optics.systems.system import States
 from wavequake.viewer import systems
 from wavequake.viewer.exposures import m2_map
 from wavequake.viewer.film import displacements, over_pupil, zernike_map
@@ -243,7 +243,7 @@ def test_surfaces_deform_as_the_trace_deforms_them(tmp_path):
     given = tuple(None if one is None else rng.normal(size=(2, one.shape[1])) for one in states.deformations)
     assert any(one is not None for one in given)
     still = np.zeros((2, *states.surface_motion.shape[1:]))
-    random = SystemStates(still, given, np.zeros((2, 2)))
+    random = States(still, given, np.zeros((2, 2)))
     shapes, weights = systems.figures_of(bench, random, stage, surfaces)
     moved = np.tensordot(weights, shapes, 1)
     for body, index in enumerate(surfaces):

@@ -73,7 +73,7 @@ def test_each_color_has_its_own_focus(camera):
     for bench, nm in zip(benches_of(camera.identity_text()), COLORS, strict=True):
         before, behind = through(nm)
         height, slope = (behind @ before)[:, 0]
-        expected.append(height / slope * (slope * bench.system.pupil_outer) ** 2 / (4.0 * sqrt(3.0)) * 1e6)
+        expected.append(height / slope * (slope * bench.system.annulus.outer) ** 2 / (4.0 * sqrt(3.0)) * 1e6)
         found.append(bench.static.zernike[0, 3] * nm)
         assert bench.first_order.focal_length == pytest.approx(-1.0 / slope, rel=1e-9)
     change = expected[1] - expected[0]

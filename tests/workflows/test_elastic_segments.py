@@ -84,7 +84,7 @@ def test_a_segment_answers_as_its_dense_finite_element_model_does(tmp_path):
         [swings(case.time, one[:, 7], 70.0) for one in (moved, case.motion.segment_figure)]
     )
     side, turn = hexagon_of(bench.system)
-    full = build_segment(study.segment, side, bench.system.primary_radius)
+    full = build_segment(study.segment, side, bench.system.primary.shape.radius)
     stiff = (full.stiffness - omega**2 * full.mass + 1j * omega * full.damping_matrix).toarray()
     fit = model_of(text_of()).fit
     rows = (

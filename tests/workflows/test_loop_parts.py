@@ -16,7 +16,9 @@ from wavequake.control.sampled.regulator import advance, start
 from wavequake.control.sampled.stability import SampledLoop, worst_pole
 from wavequake.errors import UserError
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.telescope import with_figures
+from wavequake.optics.systems.kinematics import rest_states
 from wavequake.workflows.loops.telescope_bench import bench_of, loops
 
 pytest.importorskip("slycot", reason="needs slycot: pip install slycot")
@@ -119,9 +121,9 @@ def response(dynamics, hertz):
 
 
 def surface(actuator, commands, x, y):
-    states = rest(1, 18, 2, mirror_terms=actuator.terms)
+    states = rest_states(with_figures(telescope("tmt-18"), 0, actuator.terms))
     actuator.put(LIGHT, states, np.array([commands]))
-    return annular_zernike(x, y, actuator.terms) @ states.mirror_figure[0, 0] * 1e6
+    return annular_zernike(x, y, actuator.terms) @ states.deformations[2][0] * 1e6
 
 
 def test_influence_functions_are_gaussian_where_enough_terms_describe_them():

@@ -72,8 +72,8 @@ def test_a_body_is_moved_by_name_as_what_it_carries(tmp_path):
     how = shaken('model = "surface-random"\nof = ["pair"]\nrms = { rx_urad = 1.0, dx_um = 1.0 }')
     motion = draw(bench_of(text_of(tmp_path, STUDY, pair, how)), 0).motion
     m2, m3 = motion.rigid["M2"], motion.rigid["M3"]
-    arm = bench_of(text_of(tmp_path, STUDY, pair, how)).system.surfaces[1].position[2] * 1e-3 + 27.09375
-    rotation = bench_of(text_of(tmp_path, STUDY, pair, how)).system.surfaces[1].rotation
+    arm = bench_of(text_of(tmp_path, STUDY, pair, how)).system.after_primary[1].position[2] * 1e-3 + 27.09375
+    rotation = bench_of(text_of(tmp_path, STUDY, pair, how)).system.after_primary[1].rotation
     shift = np.column_stack([m2[:, 0], -arm * m2[:, 3], 0 * arm * m2[:, 3]])
     np.testing.assert_allclose(m3[:, :3] @ rotation.T, shift, atol=1e-18)
     np.testing.assert_allclose(m3[:, 3:] @ rotation.T, m2[:, 3:], atol=1e-18)

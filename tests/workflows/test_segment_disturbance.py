@@ -60,7 +60,7 @@ def test_the_image_goes_where_the_line_of_sight_goes(text, chunk):
     bench = bench_of(text)
     axis = image_axis(bench)
     unit = (
-        bench.prepared.wavelength / (2 * bench.system.pupil_outer) * 180 / np.pi * 3600e3
+        bench.prepared.wavelength / (2 * bench.system.annulus.outer) * 180 / np.pi * 3600e3
     )  # lambda/D in mas
     for row in rows(text, "mount"):
         exposure = chunk.arrays["exposure"][row]
@@ -162,7 +162,7 @@ def test_circular_coefficients_are_those_of_a_direct_fit_of_circular_polynomials
     states = surface_states(bench, workflow.draw(bench, int(row)), 0, 1)
     opd = trace_states(bench.prepared, states, choose_device("numpy")).opd[0, :, 0]
     rays, root = bench.prepared.rays, np.sqrt(bench.prepared.weight)
-    outer = bench.system.pupil_outer
+    outer = bench.system.annulus.outer
     polynomials = annular_zernike(rays.x / outer, rays.y / outer, 45, 0.0)
     expected = np.linalg.lstsq(root[:, None] * polynomials, root * opd * 1e6, rcond=None)[0]
     np.testing.assert_allclose(found["zernike"][0, 0], expected, rtol=0, atol=1e-6 * np.abs(expected).max())

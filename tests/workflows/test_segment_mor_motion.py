@@ -117,7 +117,7 @@ def test_the_response_is_that_of_the_whole_model_by_matrix_exponentials():
     text = text_of("model.divisions=2", "model.mount_radius_m=1.72")
     study, model = study_of(text), model_of(text)
     side, turn = hexagon_of(model.bench.system)
-    full = build_segment(study.model, side, model.bench.system.primary_radius)
+    full = build_segment(study.model, side, model.bench.system.primary.shape.radius)
     mass, damping, stiffness = (
         np.asarray(matrix.todense()) for matrix in (full.mass, full.damping_matrix, full.stiffness)
     )

@@ -83,7 +83,7 @@ def test_figures_of_mirrors_are_there_without_being_asked_for(study, tmp_path):
 
 def test_a_telescope_without_further_mirrors_has_no_figures_of_them(study, tmp_path, monkeypatch):
     bench = bench_of(study.identity_text())
-    lone = replace(bench.system, surfaces=bench.system.surfaces[-1:])
+    lone = replace(bench.system, surfaces=(*bench.system.surfaces[:2], bench.system.surfaces[-1]))
     monkeypatch.setattr(module, "bench_of", lambda text: replace(bench, system=lone))
     monkeypatch.setattr(module, "kept_or_made", lambda study, path, terms, make: (terms, False))
     asked, _ = stored_sensitivity(study, tmp_path)

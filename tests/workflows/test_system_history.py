@@ -18,7 +18,7 @@ from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_s
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.systems.bodies import rigid_body, with_bodies
 from wavequake.optics.systems.kinematics import rest_states
-from wavequake.optics.systems.system import SystemStates
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
@@ -105,7 +105,7 @@ def states_of(motion, count):
     turn[:, 4] = 1e-6 * motion["lens 3.ry_urad"]
     body = rigid_body(system, "lens 3", ["L3 front", "L3 back"])
     moved = with_bodies(system, states.surface_motion, [(body, turn)])
-    return system, SystemStates(moved, states.deformations, states.line_of_sight)
+    return system, States(moved, states.deformations, states.line_of_sight)
 
 
 def test_a_history_gives_what_the_same_states_give_in_python(tmp_path):

@@ -11,7 +11,7 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.sensitivity import sensitivities
-from wavequake.optics.segments.states import rest
+from wavequake.optics.systems.kinematics import rest_states
 from wavequake.workflows.exposures import telescope_exposure as workflow
 from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,
@@ -283,15 +283,12 @@ def test_m2_is_bent_contrary_to_the_segments_by_as_much(figured):
     pistons = np.random.default_rng(1).uniform(-70e-6, 70e-6, len(figured.bench.system.segments))
     states.segment_motion[:, :, 2] = pistons
     measured = trace(figured.prepared, states, choose_device("numpy"))[1]
-    figure = controlled(figured, "elastic", states, measured).mirror_figure[0, 0]
-    rays, outer = figured.prepared.rays, figured.bench.system.pupil_outer
+    figure = controlled(figured, "elastic", states, measured).deformations[2][0]
+    rays, outer = figured.prepared.rays, figured.bench.system.annulus.outer
     shape = annular_zernike(rays.x / outer, rays.y / outer, len(figure), 0.0) @ figure
     assert np.corrcoef(shape, pistons[rays.segment])[0, 1] < -0.7
     assert 0.5 < np.std(shape) / np.std(pistons[rays.segment]) < 2.0
 
 
 def _at_rest(control):
-    system, bench = control.bench.system, control.bench
-    return rest(
-        TILE, len(system.segments), len(system.surfaces), bench.figure_terms, control.study.figure_terms
-    )
+    return rest_states(control.prepared.system, TILE)

@@ -16,7 +16,6 @@ from wavequake.drawing.section import box_of, draw_section, widened
 from wavequake.drawing.style import STYLE, Drawing
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.parent import parent_system
-from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.systems.system import OpticalSystem
 
 Array = NDArray[np.float64]
@@ -27,12 +26,12 @@ _NARROW = 0.01  # of the pupil's radius: gaps that are not drawn
 _LARGEST, _SMALLEST = 9.0, 3.5  # points
 
 
-def aperture_figure(telescope: SegmentedTelescope, width: float = 7.0) -> Drawing:
+def aperture_figure(telescope: OpticalSystem, width: float = 7.0) -> Drawing:
     """Return a telescope's primary mirror as light sees it, x to the right and y up, with the names.
 
     Parameters
     ----------
-    telescope : SegmentedTelescope
+    telescope : OpticalSystem
     width : float
         Of the figure, inches.
     """
@@ -47,13 +46,13 @@ def aperture_figure(telescope: SegmentedTelescope, width: float = 7.0) -> Drawin
 
 
 def telescope_figure(
-    telescope: SegmentedTelescope, system: OpticalSystem | None = None, width: float = 11.0
+    telescope: OpticalSystem, system: OpticalSystem | None = None, width: float = 11.0
 ) -> Drawing:
     """Return a telescope's primary mirror from above and, beside it, its section with rays.
 
     Parameters
     ----------
-    telescope : SegmentedTelescope
+    telescope : OpticalSystem
     system : OpticalSystem, optional
         The telescope with a mirror of one piece, and the fields to draw; by default its axis.
     width : float
@@ -83,7 +82,7 @@ def telescope_figure(
     return figure
 
 
-def _richest(telescope: SegmentedTelescope, system: OpticalSystem) -> Array | None:
+def _richest(telescope: OpticalSystem, system: OpticalSystem) -> Array | None:
     """Return y or x, whichever meets more glass, where neither fields nor folds say what to cut along."""
     bent = [surface.position[:2] for surface in system.surfaces]
     tilted = any(np.abs(surface.rotation[2, :2]).max() > 1e-9 for surface in system.surfaces)
@@ -94,19 +93,19 @@ def _richest(telescope: SegmentedTelescope, system: OpticalSystem) -> Array | No
     return np.asarray(axes[int(met[1] > 1.001 * met[0])])
 
 
-def _crossed(telescope: SegmentedTelescope, across: Array) -> list[tuple[float, float]]:
+def _crossed(telescope: OpticalSystem, across: Array) -> list[tuple[float, float]]:
     """Return where the line through the middle along `across` is on segments, mm; narrow gaps are none.
 
     Where it would run along a gap, it is the nearest beside the middle that does not.
     """
-    found, aside = list[tuple[float, float]](), _NARROW * telescope.pupil_outer
-    while not found and aside < telescope.pupil_outer:
+    found, aside = list[tuple[float, float]](), _NARROW * telescope.annulus.outer
+    while not found and aside < telescope.annulus.outer:
         found = _crossed_beside(telescope, across, aside)
         aside *= 2.0
     return found
 
 
-def _crossed_beside(telescope: SegmentedTelescope, across: Array, aside: float) -> list[tuple[float, float]]:
+def _crossed_beside(telescope: OpticalSystem, across: Array, aside: float) -> list[tuple[float, float]]:
     """Return where the line along `across`, so far beside the middle, is on segments."""
     along, beside = across[:2], np.array([-across[1], across[0]])
     found = list[tuple[float, float]]()
@@ -120,13 +119,13 @@ def _crossed_beside(telescope: SegmentedTelescope, across: Array, aside: float) 
         found += [(min(ends), max(ends))] if ends else []
     whole = list[tuple[float, float]]()
     for low, high in sorted(found):
-        if whole and low - whole[-1][1] < _NARROW * telescope.pupil_outer:
+        if whole and low - whole[-1][1] < _NARROW * telescope.annulus.outer:
             low, high = whole[-1][0], max(high, whole.pop()[1])
         whole.append((low, high))
     return whole
 
 
-def on_glass(telescope: SegmentedTelescope, layout: Layout) -> Layout:
+def on_glass(telescope: OpticalSystem, layout: Layout) -> Layout:
     """Return the section of a telescope of one piece with what it has of M1, and the rays that meet it."""
     if is_monolithic(telescope.segments):
         return layout
@@ -148,7 +147,7 @@ def on_glass(telescope: SegmentedTelescope, layout: Layout) -> Layout:
     rays = tuple(
         (field, ray)
         for field, ray in layout.rays
-        if _is_met(ray, faces, pieces, _NARROW * telescope.pupil_outer)
+        if _is_met(ray, faces, pieces, _NARROW * telescope.annulus.outer)
     )
     return replace(layout, parts=tuple(parts), rays=rays or layout.rays)
 
@@ -164,19 +163,19 @@ def _is_met(ray: Array, faces: list[Array], pieces: list[tuple[float, float]], r
     return True
 
 
-def draw_aperture(axes: Axes, telescope: SegmentedTelescope) -> None:
+def draw_aperture(axes: Axes, telescope: OpticalSystem) -> None:
     """Draw the segments of a telescope on axes, in m."""
-    segments, outer = telescope.segments, telescope.pupil_outer / 1e3
+    segments, outer = telescope.segments, telescope.annulus.outer / 1e3
     corners = segments.corners / 1e3
     reach = max(outer, float(np.hypot(corners[..., 0], corners[..., 1]).max(initial=0.0)))
-    for radius in (outer, telescope.pupil_inner / 1e3):
+    for radius in (outer, telescope.annulus.inner / 1e3):
         axes.add_patch(
             Circle((0, 0), radius, facecolor="none", edgecolor=_PUPIL, lw=0.9, ls=(0, (4, 2)), zorder=3)
         )
     if is_monolithic(segments):
         axes.add_patch(Circle((0, 0), outer, facecolor=_FILL, edgecolor=_EDGE, lw=0.9))
         axes.add_patch(
-            Circle((0, 0), telescope.pupil_inner / 1e3, facecolor="white", edgecolor=_EDGE, lw=0.9)
+            Circle((0, 0), telescope.annulus.inner / 1e3, facecolor="white", edgecolor=_EDGE, lw=0.9)
         )
     else:
         polygons = PolyCollection(list(corners), facecolors=_FILL, edgecolors=_EDGE, linewidths=0.5)

@@ -20,7 +20,6 @@ from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
-from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.info import info
 from wavequake.optics.systems.system import OpticalSystem
@@ -38,7 +37,7 @@ class Seen:
     """What is drawn: a system, a telescope with the system of one piece that it stands for, or models."""
 
     system: OpticalSystem | None = None
-    telescope: SegmentedTelescope | None = None
+    telescope: OpticalSystem | None = None
     models: tuple[Model, ...] = ()
 
 
@@ -55,7 +54,7 @@ def draw(
     ----------
     what : str, Path or object
         Name of a bundled system, telescope or study, path of a lens file or study, or an `OpticalSystem`,
-        `SegmentedTelescope`, `Study`, `FiniteElementModel` or `ReducedModel`.
+        `Study`, `FiniteElementModel` or `ReducedModel`.
     overrides : mapping or iterable of ``"section.key=value"``
         Of a study, as `wavequake.load_study` takes them.
     solid : bool
@@ -114,9 +113,7 @@ def look(what: Any, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Seen:
     if dict(split_overrides(overrides)):
         raise UserError("Overrides belong to a study by name or path; change the object itself.")
     if isinstance(what, OpticalSystem):
-        return Seen(what)
-    if isinstance(what, SegmentedTelescope):
-        return Seen(parent_system(what), what)
+        return Seen(what) if what.segmented is None else Seen(parent_system(what), what)
     if isinstance(what, FiniteElementModel | ReducedModel):
         return Seen(models=(what,))
     if isinstance(what, Study):

@@ -12,7 +12,6 @@ from wavequake.mechanics.importers.areas import mesh_points
 from wavequake.mechanics.model import Model, shifts
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.parent import parent_system
-from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.systems.system import OpticalSystem, Surface
 
@@ -62,13 +61,13 @@ class Scene:
     up: Array
 
 
-def system_scene(system: OpticalSystem, telescope: SegmentedTelescope | None = None) -> Scene:
+def system_scene(system: OpticalSystem, telescope: OpticalSystem | None = None) -> Scene:
     """Return the used parts of all surfaces with the rays of a section of every field.
 
     Parameters
     ----------
     system : OpticalSystem
-    telescope : SegmentedTelescope, optional
+    telescope : OpticalSystem, optional
         Its segments take the place of the surface M1.
 
     Raises
@@ -101,12 +100,12 @@ def system_scene(system: OpticalSystem, telescope: SegmentedTelescope | None = N
     return Scene(system.name, "mm", tuple(skins), tuple(lines), tuple(labels), np.zeros((0, 3)), first.across)
 
 
-def telescope_scene(telescope: SegmentedTelescope) -> Scene:
+def telescope_scene(telescope: OpticalSystem) -> Scene:
     """Return a segmented telescope with the rays of its axis."""
     return system_scene(parent_system(telescope), telescope)
 
 
-def segment_skin(telescope: SegmentedTelescope) -> Skin:
+def segment_skin(telescope: OpticalSystem) -> Skin:
     """Return the segments, one face each, with corners on the parent surface."""
     corners = telescope.segments.corners
     count, size = corners.shape[:2]

@@ -17,10 +17,10 @@ from wavequake.optics.segments.figures import figure_terms, glass_triangles
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.prepared import chief_rays, trace_states
-from wavequake.optics.segments.states import rest
-from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.optics.shapes.sag import shape_sag
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem
 from wavequake.report.at_hand import device_at_hand
 from wavequake.report.populations import representatives
 from wavequake.report.segments.report import is_reduced
@@ -75,7 +75,7 @@ def stage_of_telescope(bench: Bench) -> Stage:
     )
 
 
-def stage_of_segments(system: SegmentedTelescope) -> Stage:
+def stage_of_segments(system: OpticalSystem) -> Stage:
     """Return a telescope with a body for every segment; what follows M1 stands still."""
     whole, segments = stage_of(telescope_scene(system)), system.segments
     points, pivots = whole.points * TO_SKY, whole.pivots * TO_SKY
@@ -87,11 +87,12 @@ def stage_of_segments(system: SegmentedTelescope) -> Stage:
         names = (*segments.names, *names[1:])
         pivots = np.concatenate([segments.centers * TO_SKY / MM_PER_M, pivots[1:]])
         axes = np.concatenate([segments.axes, axes[1:]])
-    # What follows M1 moves in the frame of M1, whose z axis is along the light, about its vertices.
-    places = {surface.name: surface.position * TO_SKY / MM_PER_M for surface in system.surfaces}
+    # What follows M1 moves in its own frame, about its vertex.
+    after = {surface.name: surface for surface in system.after_primary}
     for number, name in enumerate(names):
-        if name in places:
-            pivots[number], axes[number] = places[name], np.diag(TO_SKY)
+        if name in after:
+            pivots[number] = after[name].position * TO_SKY / MM_PER_M
+            axes[number] = np.diag(TO_SKY) @ after[name].rotation
     lines = tuple((color, line * TO_SKY) for color, line in whole.lines)
     labels = tuple((name, point * TO_SKY) for name, point in whole.labels)
     up = np.array([0.0, 0.0, 1.0])
@@ -175,9 +176,7 @@ def take_of(bench: Bench, case: int, device_name: str) -> Take:
 
 def _path_at_rest(bench: Bench, device_name: str) -> Array:
     """Return the optical path differences of the telescope at rest, (ray, 1) in mm."""
-    system = bench.system
-    still = rest(TILE, len(system.segments), len(system.surfaces), bench.figure_terms, bench.mirror_terms)
-    still.field[:] = bench.field
+    still = rest_states(bench.prepared.system, TILE)
     return np.asarray(trace_states(bench.prepared, still, choose_device(device_name)).opd[0, :, :1])
 
 

@@ -13,7 +13,7 @@ from wavequake.mechanics.assembly.answers import watching
 from wavequake.mechanics.disturbances.element_motion import ElementMotion
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import ZernikeDeformation
-from wavequake.optics.systems.system import SystemStates
+from wavequake.optics.systems.system import States
 from wavequake.viewer.chosen import worst_cases
 from wavequake.viewer.film import Array, Stage, Take, principal, stage_of
 from wavequake.viewer.structure import members_of, nodes_of, with_members
@@ -64,9 +64,7 @@ def stage_of_system(bench: SystemBench) -> tuple[Stage, list[int]]:
     return Stage(*parts, whole.lines, whole.labels, whole.up), surfaces
 
 
-def figures_of(
-    bench: SystemBench, states: SystemStates, stage: Stage, surfaces: list[int]
-) -> tuple[Array, Array]:
+def figures_of(bench: SystemBench, states: States, stage: Stage, surfaces: list[int]) -> tuple[Array, Array]:
     """Return shapes (r, V, 3) and weights (T, r) by which surfaces deform, m.
 
     The fewest shapes that give the Noll terms' heights to 2e-5 of the largest; heights on grids are left out.

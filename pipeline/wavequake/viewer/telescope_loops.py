@@ -14,7 +14,8 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.mechanics.model import Integers
 from wavequake.optics.segments.layout import is_monolithic
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.system import States
 from wavequake.report.at_hand import device_at_hand
 from wavequake.report.loops.telescope import controllers_of, results, telling
 from wavequake.viewer.chosen import worst_cases
@@ -101,14 +102,13 @@ def _take(bench: Bench, stage: Stage, one: Designed, index: int, motion: CaseDra
     )
 
 
-def _figure(states: SurfaceStates, shown: Integers) -> Array:
+def _figure(states: States, shown: Integers) -> Array:
     """Return the deformation of M2 at the instants, Noll coefficients from 2 in mm; (s, 0) without any."""
-    if states.mirror_figure is None:
-        return np.zeros((len(shown), 0))
-    return states.mirror_figure[: len(shown), 0, 1:]
+    figure = states.deformations[M2]
+    return np.zeros((len(shown), 0)) if figure is None else figure[: len(shown), 1:]
 
 
-def _poses(control: ControlBench, stage: Stage, states: SurfaceStates, count: int) -> Array:
+def _poses(control: ControlBench, stage: Stage, states: States, count: int) -> Array:
     """Return how segments and the mirrors after them move, (T, B, 6) in m and rad."""
     system = control.bench.system
     poses = np.zeros((count, len(stage.names), 6))

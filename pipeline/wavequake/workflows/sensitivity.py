@@ -18,7 +18,7 @@ from wavequake.chain.sensitivities import (
 )
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
-from wavequake.optics.segments.prepared import prepare
+from wavequake.optics.segments.prepared import at_field, prepare
 from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.study import SegmentStudy, segment_text
@@ -100,7 +100,7 @@ def stored_sensitivity(
     device = choose_device(study.campaign.device)
     bench = bench_of(text)
     terms = bench.figure_terms if figure_terms is None else figure_terms
-    has_mirrors = len(bench.system.surfaces) > 1
+    has_mirrors = len(bench.system.after_primary) > 1
     if mirror_terms is None:
         mirror_terms = MIRROR_TERMS if has_mirrors else 0
     require_terms(terms, mirror_terms)
@@ -109,7 +109,11 @@ def stored_sensitivity(
     return kept_or_made(
         study,
         path,
-        {"figure_terms": terms, "mirror_terms": mirror_terms, "surfaces": len(bench.system.surfaces) + 1},
+        {
+            "figure_terms": terms,
+            "mirror_terms": mirror_terms,
+            "surfaces": len(bench.system.after_primary) + 1,
+        },
         lambda: _dataset(bench, _of_bench(bench, device, terms, mirror_terms), device),
     )
 
@@ -141,7 +145,7 @@ def _of_bench(bench: Bench, device: Device, figure_terms: int, mirror_terms: int
             prepared = prepare(
                 bench.system, prepared.rays, prepared.wavelength, terms, figure_terms, mirror_terms
             )
-        return sensitivities(prepared, device, field=bench.field)
+        return sensitivities(at_field(prepared, bench.field), device)
 
 
 def _dataset(bench: Bench, found: Sensitivities, device: Device) -> Arrays:
@@ -149,7 +153,7 @@ def _dataset(bench: Bench, found: Sensitivities, device: Device) -> Arrays:
     elements = {
         "surface": Elements(
             *("surface", "dof", "surface; M1 is all its segments", "motion"),
-            "motion about the vertex in the axes of the optics frame (z along the incoming light)",
+            "motion about the vertex in the surface's own frame at rest",
             (found.all_surfaces,),
         ),
         "segment": Elements(

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.control.sampled.channel import Dynamics
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.systems.system import States
 
 Array = NDArray[np.float64]
-Put = Callable[[SurfaceStates, Array], None]
+Put = Callable[[States, Array], None]
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def drives_of(answers: Sequence[Answer], actuator: str, channels: int) -> Array:
     return np.vstack([np.zeros((0, channels)), *rows])
 
 
-def put_all(answers: Sequence[Answer], states: SurfaceStates, positions: Array) -> None:
+def put_all(answers: Sequence[Answer], states: States, positions: Array) -> None:
     """Add positions of all modes (batch, M) to the first instants of a telescope's states."""
     first = 0
     for one in answers:

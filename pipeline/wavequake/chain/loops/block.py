@@ -17,7 +17,7 @@ from wavequake.control.sampled.channel import RIGID, Dynamics, first_order, seco
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.source import AnySource
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.systems.system import States
 from wavequake.registry import Registry
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ class Actuator(Section):
         """Return the names of its p channels."""
 
     @abstractmethod
-    def put(self, light: Light, states: SurfaceStates, positions: Array) -> None:
+    def put(self, light: Light, states: States, positions: Array) -> None:
         """Add positions (batch, p) to the first instants of a telescope's states."""
 
     def motion(self, positions: Array) -> dict[str, Array]:

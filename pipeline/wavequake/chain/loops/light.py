@@ -51,7 +51,7 @@ class Light:
         Whether motions of bodies are seen.
     nodes : tuple of str
     movable : mapping of str to ndarray, shape (6, L, 6)
-        Motions of the L surfaces after M1, as states of a telescope take them, per dx, dy, dz (mm), rx, ry
+        Motions of the L surfaces, as states of a telescope take them, per dx, dy, dz (mm), rx, ry
         and rz (rad) of each surface or body of surfaces by name.
     wavelength_nm : float
         0: there is none.

@@ -17,7 +17,8 @@ from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.sources.edge_sensors import planar_axes, segment_radius
 from wavequake.optics.derivatives.central import DOFS
 from wavequake.optics.polynomials.zernike import annular_zernike_gradient
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.system import States
 
 Array = NDArray[np.float64]
 NollIndex = Annotated[int, Field(ge=2, le=231, strict=False)]
@@ -140,13 +141,13 @@ class Carrying:
         """How each mode answers what moves along it."""
         return tuple(recoil(hertz, zeta) for hertz, zeta in zip(self.hertz, self.zeta, strict=True))
 
-    def put(self, states: SurfaceStates, positions: Array) -> None:
+    def put(self, states: States, positions: Array) -> None:
         """Add positions of the modes (batch, K) to the first instants of a telescope's states."""
         count, segments = len(positions), states.segment_motion.shape[1]
         moved = positions @ self.moves.T
         local = moved[:, : 3 * segments].reshape(count, 3, segments)
         states.segment_motion[:count, :, 2:5] += np.swapaxes(local, 1, 2) * UNITS[2:5]
-        states.surface_motion[:count, 0] += moved[:, 3 * segments :] * UNITS
+        states.surface_motion[:count, M2] += moved[:, 3 * segments :] * UNITS
 
     def shaken(self, time: Array, random: Sequence[np.random.Generator]) -> Array:
         """Draw modes (n, K) that white forces shake, at rising instants, nm; exact at any steps."""

@@ -16,13 +16,13 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device
 from wavequake.optics.derivatives.central import FAINT, SIGNS, central, checked_derivative
 from wavequake.optics.systems.paraxial import paraxial
-from wavequake.optics.systems.system import SystemStates
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.fits import fit_instants
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, line_of_sight, trace_system
 
 Array = NDArray[np.float64]
-Move = Callable[[Array], SystemStates]
+Move = Callable[[Array], States]
 """From motions (K, D) to the states of K instants."""
 
 _MM_PER_M = 1e3

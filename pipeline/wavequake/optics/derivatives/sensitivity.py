@@ -29,7 +29,7 @@ from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.bodies import Body, with_bodies
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
-from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.optics.wavefronts.reaiming import stop_slopes, trace_aimed
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, analyse_system, trace_system
 
@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 _PAIRS = 32  # columns per launch, a constant shape
 
 # From elements (K,), their degrees of freedom (K,) and how far each moves (K,) to the states of K instants.
-_Move = Callable[[Indices, Indices, Array], SystemStates]
+_Move = Callable[[Indices, Indices, Array], States]
 
 
 def rigid_sensitivity(
@@ -65,7 +65,7 @@ def rigid_sensitivity(
     system = prepared.system
     count = len(system.surfaces)
 
-    def move(element: Indices, dof: Indices, size: Array) -> SystemStates:
+    def move(element: Indices, dof: Indices, size: Array) -> States:
         rest = rest_states(system, len(element))
         own, instants = rest.surface_motion, np.arange(len(element))
         single = element < count
@@ -132,7 +132,7 @@ def figure_sensitivity(
                 "Zernike terms"
             )
 
-    def move(element: Indices, dof: Indices, size: Array) -> SystemStates:
+    def move(element: Indices, dof: Indices, size: Array) -> States:
         states = rest_states(system, len(element))
         for number, index in enumerate(surfaces):
             form, mine = states.deformations[index], np.flatnonzero(element == number)

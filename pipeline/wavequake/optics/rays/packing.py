@@ -22,7 +22,7 @@ from wavequake.optics.shapes.polygons import edge_spans, signed_areas
 from wavequake.optics.shapes.shapes import GridDeformation, Opening, ZernikeDeformation
 from wavequake.optics.systems.kinematics import relative_poses, require_motion, rest_poses
 from wavequake.optics.systems.paraxial import entrance_pupil_center, vergence_before
-from wavequake.optics.systems.system import LARGEST, OpticalSystem, Surface, SystemStates, require_system
+from wavequake.optics.systems.system import LARGEST, OpticalSystem, States, Surface, require_system
 from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
@@ -171,7 +171,7 @@ def _polygon(corners: Array, x: float, y: float) -> Region:
 
 
 def moving(
-    system: OpticalSystem, states: SystemStates, spheres: Array | None = None, device: Device = NUMPY
+    system: OpticalSystem, states: States, spheres: Array | None = None, device: Device = NUMPY
 ) -> Moving:
     """Return what changes from instant to instant as the trace takes it.
 
@@ -181,7 +181,7 @@ def moving(
     Parameters
     ----------
     system : OpticalSystem
-    states : SystemStates
+    states : States
         T instants.
     spheres : ndarray, shape (T, 4), or None
         Reference spheres in the image's frame, see `wavequake.kernels.trace.sequence.Moving`.

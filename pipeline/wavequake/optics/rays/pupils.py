@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.optics.checks import number, whole
 from wavequake.optics.segments.layout import Segments, areas, candidates, is_monolithic
-from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.shapes.concave import triangles
 from wavequake.optics.shapes.polygons import centroids, concave
+from wavequake.optics.systems.system import OpticalSystem
 
 Array = NDArray[np.float64]
 
@@ -173,7 +173,7 @@ def _triangle_rule(points: int) -> tuple[Array, Array]:
     return np.array(coordinates), np.array(weights)
 
 
-def on_glass(system: SegmentedTelescope, rays: PupilRays) -> PupilRays:
+def on_glass(system: OpticalSystem, rays: PupilRays) -> PupilRays:
     """Find the undisturbed segment that each ray meets, and keep only rays that meet one.
 
     The glass of a monolithic mirror is the annulus of its pupil. The weights are scaled to the sum 1 again.
@@ -186,12 +186,12 @@ def on_glass(system: SegmentedTelescope, rays: PupilRays) -> PupilRays:
     segment = candidates(system.segments, rays.x, rays.y)[:, 0].astype(np.int64)
     if is_monolithic(system.segments):
         radius = np.hypot(rays.x, rays.y)
-        segment = np.where((radius >= system.pupil_inner) & (radius <= system.pupil_outer), 0, -1)
+        segment = np.where((radius >= system.annulus.inner) & (radius <= system.annulus.outer), 0, -1)
     hit = segment >= 0
     total = rays.weight[hit].sum()
     if not total > 0.0:
         raise UserError(
             f"No ray passes the pupil of {system.name}: none of the {len(rays)} rays (pupil radii "
-            f"{system.pupil_inner:g} to {system.pupil_outer:g} mm) meets the glass of a segment."
+            f"{system.annulus.inner:g} to {system.annulus.outer:g} mm) meets the glass of a segment."
         )
     return replace(rays, x=rays.x[hit], y=rays.y[hit], weight=rays.weight[hit] / total, segment=segment[hit])

@@ -19,7 +19,7 @@ from wavequake.optics.derivatives.central import gradient
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.systems.kinematics import rest_states
-from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, States
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def steering(system: OpticalSystem, sequence: Sequence, chief: Rays) -> Array:
     return np.asarray(np.linalg.inv(slopes), dtype=np.float64)
 
 
-def stays(system: OpticalSystem, chief: Rays, states: SystemStates) -> bool:
+def stays(system: OpticalSystem, chief: Rays, states: States) -> bool:
     """Tell whether the chief ray surely meets the stop's center at all instants, without a trace.
 
     It does where nothing up to the stop moves as a rigid body and nothing before the stop deforms. A stop

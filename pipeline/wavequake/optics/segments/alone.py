@@ -6,6 +6,7 @@ where the segment's motion takes it, with the segment's glass as its opening.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +15,14 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.optics.polynomials.zernike import annular_zernike, noll_to_nm
 from wavequake.optics.segments.figures import figure_frames, figure_terms
-from wavequake.optics.segments.kinematics import cardan, segment_poses
+from wavequake.optics.segments.kinematics import displaced, segment_poses
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.parent import parent_system
-from wavequake.optics.segments.states import SurfaceStates
-from wavequake.optics.segments.telescope import SegmentedTelescope, footprints
-from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeDeformation, ZernikeSag
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeSag
 from wavequake.optics.systems.freeze import deformed_shape
-from wavequake.optics.systems.system import OpticalSystem, Surface
+from wavequake.optics.systems.kinematics import rest_poses
+from wavequake.optics.systems.system import OpticalSystem, States, Surface
 
 Array = NDArray[np.float64]
 
@@ -30,8 +31,8 @@ _MARGIN = 1.01  # of the light that is sent to a segment, beyond its corners
 
 
 def segment_systems(
-    telescope: SegmentedTelescope,
-    states: SurfaceStates,
+    telescope: OpticalSystem,
+    states: States,
     instant: int,
     wavelengths: Sequence[float],
     beside: Sequence[tuple[float, float]] = ((0.0, 0.0),),
@@ -42,8 +43,8 @@ def segment_systems(
 
     Parameters
     ----------
-    telescope : SegmentedTelescope
-    states : SurfaceStates
+    telescope : OpticalSystem
+    states : States
         Whole tiles.
     instant : int
     wavelengths : sequence of float
@@ -60,7 +61,7 @@ def segment_systems(
     behind = tuple(_behind(telescope, states, instant))
     parent = replace(
         parent_system(telescope, wavelengths[0]),
-        fields=states.field[instant] + np.array(beside),
+        fields=telescope.fields[0] + states.line_of_sight[instant] + np.array(beside),
         wavelengths=np.array(wavelengths),
     )
     stop, primary, *_ = parent.surfaces
@@ -76,22 +77,22 @@ def segment_systems(
             continue
         corners = segments.corners[number]
         middle = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
-        reach = _MARGIN * np.hypot(*(corners - middle).T).max() / telescope.pupil_outer
+        reach = _MARGIN * np.hypot(*(corners - middle).T).max() / telescope.annulus.outer
         share = 1.0 - reach
         glass = Opening(corners=tuple((float(x), float(y)) for x, y in corners))
-        light = (*(middle / telescope.pupil_outer).tolist(), share, share, 0.0)
+        light = (*(middle / telescope.annulus.outer).tolist(), share, share, 0.0)
         surfaces = (replace(stop, opening=None), replace(moved, opening=glass), *behind)
         pupil = replace(parent.pupil, obscuration=0.0)
         yield name, replace(parent, surfaces=surfaces, pupil=pupil, vignetting=(light,) * len(beside))
 
 
-def _figured(telescope: SegmentedTelescope, segment: int, terms: Array) -> Conic | ZernikeSag:
+def _figured(telescope: OpticalSystem, segment: int, terms: Array) -> Conic | ZernikeSag:
     """Return the mirror with the figure of a segment: polynomials about its center are some about the vertex.
 
     These have the same degree and are exact but for rounding, which grows with it: they are small on the
     segment alone.
     """
-    bare = Conic(telescope.primary_radius, telescope.primary_conic)
+    bare = Conic(telescope.primary.shape.radius, telescope.primary.shape.conic)
     if not terms.any():
         return bare
     segments, (a, b) = telescope.segments, figure_frames(telescope)[segment, 2:]
@@ -122,22 +123,14 @@ def _figured(telescope: SegmentedTelescope, segment: int, terms: Array) -> Conic
     return ZernikeSag(bare.radius, bare.conic, tuple(found.tolist()), norm)
 
 
-def _behind(telescope: SegmentedTelescope, states: SurfaceStates, instant: int) -> Iterator[Surface]:
+def _behind(telescope: OpticalSystem, states: States, instant: int) -> Iterator[Surface]:
     """Yield the surfaces after M1 where they stand, with their figures."""
-    motion, figure = states.surface_motion[instant], states.mirror_figure
-    radii = None if figure is None else footprints(telescope)
-    for number, surface in enumerate(telescope.surfaces):
-        moved = replace(
-            surface,
-            position=surface.position + motion[number, :3],
-            rotation=cardan(motion[number, 3:]) @ surface.rotation,
-        )
-        last = number == len(telescope.surfaces) - 1
-        terms = np.zeros(0) if figure is None or last else figure[instant, number]
-        if terms.any():
-            assert radii is not None
-            bent = replace(moved, deformation=ZernikeDeformation(len(terms), float(radii[number])))
-            shape = deformed_shape(bent, terms)  # mirrors of telescopes are conics and even aspheres
+    stand = displaced(*rest_poses(telescope), states.surface_motion[instant][None])
+    parts = zip(telescope.surfaces, *(one[0] for one in stand), states.deformations, strict=True)
+    for surface, position, rotation, figure in islice(parts, M2, None):
+        moved = replace(surface, position=position, rotation=rotation, deformation=None)
+        if figure is not None and figure[instant].any():
+            shape = deformed_shape(surface, figure[instant])  # conics and even aspheres have one
             assert shape is not None
             moved = replace(moved, shape=shape)
         yield moved

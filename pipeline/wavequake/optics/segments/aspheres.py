@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.tiles import TILE
-from wavequake.optics.segments.telescope import SegmentedTelescope, footprints
+from wavequake.optics.segments.telescope import footprints
 from wavequake.optics.shapes.basis import ZernikeBasis
+from wavequake.optics.systems.system import OpticalSystem
 
 Array = NDArray[np.float64]
 
 
-def asphere_polynomials(system: SegmentedTelescope) -> Array | None:
+def asphere_polynomials(system: OpticalSystem) -> Array | None:
     """Return the even powers of the mirrors after M1; None if all are conics.
 
     Returns
@@ -23,7 +24,7 @@ def asphere_polynomials(system: SegmentedTelescope) -> Array | None:
         Coefficients in mm of u^n, u^(n-1) v, ..., v^n for n = 0, 1, ... to the highest power there is, with u
         and v in units of the mirrors' footprints.
     """
-    mirrors = [surface.shape.packed().even for surface in system.surfaces[:-1]]
+    mirrors = [surface.shape.packed().even for surface in system.after_primary[:-1]]
     degree = 2 * max(map(len, mirrors), default=0)
     if not degree:
         return None

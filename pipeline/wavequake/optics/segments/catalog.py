@@ -30,17 +30,18 @@ from wavequake.optics.segments.layout import (
 from wavequake.optics.segments.observatories import elt, gmt, gtc, het, keck
 from wavequake.optics.segments.telescope import (
     Row,
-    SegmentedTelescope,
     around_its_glass,
+    segmented_telescope,
     sequential_surfaces,
 )
+from wavequake.optics.systems.system import OpticalSystem
 
 _TMT_PUPIL = (1512.2, 15000.0)
 _STOP_Z = -1874.9721  # plane of the full mirror's rim, as Table 4.2 prints it
 _M3_TO_IMAGE = sqrt(2.0) * 14142.136  # 20 m; Table 4.2 prints the shifts in M3's frame
 
 
-def telescope(name: str, **options: Any) -> SegmentedTelescope:
+def telescope(name: str, **options: Any) -> OpticalSystem:
     """Build a telescope by name.
 
     Parameters
@@ -72,12 +73,12 @@ def telescope(name: str, **options: Any) -> SegmentedTelescope:
     return builder(**options)
 
 
-def tmt(gap: float = 2.5) -> SegmentedTelescope:
+def tmt(gap: float = 2.5) -> OpticalSystem:
     """Return the Thirty Meter Telescope: 492 segments with gaps in mm, official prescription, f = 450 m."""
     return _tmt("tmt", tmt_segments(gap), TMT_CONIC, -6227.67857, _TMT_PUPIL)
 
 
-def tmt18(side: float = TMT18_SIDE, gap: float = 0.0) -> SegmentedTelescope:
+def tmt18(side: float = TMT18_SIDE, gap: float = 0.0) -> OpticalSystem:
     """Return the simplified TMT of 18 hexagons (Störkle 2018, section 4.6) and Table 4.2.
 
     Parameters
@@ -91,24 +92,24 @@ def tmt18(side: float = TMT18_SIDE, gap: float = 0.0) -> SegmentedTelescope:
     return _tmt("tmt-18", tmt18_segments(side, gap), TABLE_4_2_CONIC, -6227.68, (side, sqrt(13.0) * side))
 
 
-def tmt_thesis() -> SegmentedTelescope:
+def tmt_thesis() -> OpticalSystem:
     """Return the TMT with a monolithic primary mirror (Störkle 2018, Table 4.2)."""
     return _tmt("tmt-thesis", monolithic(_TMT_PUPIL[1]), TABLE_4_2_CONIC, -6227.68, _TMT_PUPIL)
 
 
 def _tmt(
     name: str, segments: Segments, conic: float, m2_radius: float, pupil: tuple[float, float]
-) -> SegmentedTelescope:
+) -> OpticalSystem:
     """Assemble a TMT; M2's conic is negative, where Table 4.2 has lost the sign."""
     rows = [
         Row("M2", m2_radius, -1.31822813, 27093.75, semi_diameter=1512.2),
         Row("M3", inf, 0.0, 23593.75, tilt=pi / 4.0, semi_diameter=1753.95),
         Row("image", inf, 0.0, _M3_TO_IMAGE),
     ]
-    return SegmentedTelescope(name, segments, TMT_RADIUS, conic, sequential_surfaces(rows), _STOP_Z, *pupil)
+    return segmented_telescope(name, segments, TMT_RADIUS, conic, sequential_surfaces(rows), _STOP_Z, *pupil)
 
 
-def jwst() -> SegmentedTelescope:
+def jwst() -> OpticalSystem:
     """Return the James Webb Space Telescope's segments before a two-mirror equivalent of its optics.
 
     Published are the radii of curvature of the primary (15.8797 m) and secondary mirror (1778.913 mm) and the
@@ -141,7 +142,7 @@ def custom(
     primary_radius: float,
     surfaces: Sequence[Mapping[str, Any]],
     primary_conic: float = -1.0,
-) -> SegmentedTelescope:
+) -> OpticalSystem:
     """Return a user's telescope; its pupil is the annulus about the glass.
 
     Parameters
@@ -289,7 +290,7 @@ def _nearest(name: str, valid: list[str]) -> str:
     return f"the nearest valid one is {near[0]!r}" if near else "it has none"
 
 
-_BUILDERS: dict[str, Callable[..., SegmentedTelescope]] = {
+_BUILDERS: dict[str, Callable[..., OpticalSystem]] = {
     "tmt": tmt,
     "tmt-18": tmt18,
     "tmt-thesis": tmt_thesis,

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.systems.system import OpticalSystem
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -12,16 +12,16 @@ Integers = NDArray[np.int64]
 _FINE = 100  # segments; more of them have fewer triangles each
 
 
-def segment_radii(system: SegmentedTelescope) -> Array:
+def segment_radii(system: OpticalSystem) -> Array:
     """Return the radius of each segment's circumscribed circle; a mirror without corners fills the pupil."""
     segments = system.segments
     if segments.corners.shape[1] == 0:
-        return np.full(len(segments), system.pupil_outer)
+        return np.full(len(segments), system.annulus.outer)
     radii: Array = np.linalg.norm(segments.corners - segments.centers[:, None, :2], axis=2).max(axis=1)
     return radii
 
 
-def figure_frames(system: SegmentedTelescope) -> Array:
+def figure_frames(system: OpticalSystem) -> Array:
     """Return centers (mm) and directions of the local x axis over the radius, projected along z, (S, 4)."""
     segments = system.segments
     along = segments.axes[:, :2, 0]
@@ -29,12 +29,12 @@ def figure_frames(system: SegmentedTelescope) -> Array:
     return np.concatenate([segments.centers[:, :2], along], axis=1)
 
 
-def figure_terms(system: SegmentedTelescope, segment: Integers, points: Array, terms: int) -> Array:
+def figure_terms(system: OpticalSystem, segment: Integers, points: Array, terms: int) -> Array:
     """Return the circular Noll polynomials of segments' figures at points of the aperture.
 
     Parameters
     ----------
-    system : SegmentedTelescope
+    system : OpticalSystem
     segment : ndarray of int, shape (N,)
         Whose figure.
     points : ndarray, shape (N, 2)
@@ -52,12 +52,12 @@ def figure_terms(system: SegmentedTelescope, segment: Integers, points: Array, t
     return annular_zernike(a * x + b * y, a * y - b * x, terms)
 
 
-def glass_triangles(system: SegmentedTelescope, finer: int = 1) -> tuple[Array, Integers, Integers]:
+def glass_triangles(system: OpticalSystem, finer: int = 1) -> tuple[Array, Integers, Integers]:
     """Return the segments as triangles that follow figures of low degree.
 
     Parameters
     ----------
-    system : SegmentedTelescope
+    system : OpticalSystem
     finer : int
         So many times as many along each edge as moving pictures can take.
 

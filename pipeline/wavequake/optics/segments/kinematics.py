@@ -5,8 +5,6 @@ frame in which a ray arrives to that of the displaced surface, so that the trace
 own frame.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +12,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.tiles import TILE, to_tiles
 from wavequake.kernels.trace.poses_numpy import cardan_entries, quaternion, rotation_minus_one
 from wavequake.optics.segments.layout import Segments
-from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.systems.system import OpticalSystem
 
 Array = NDArray[np.float64]
 
@@ -141,32 +139,47 @@ def _turn(matrices: Array, vector: tuple[Array, ...]) -> tuple[Array, Array, Arr
     return a, b, c
 
 
-def surface_poses(system: SegmentedTelescope, motion: Array) -> Array:
-    """Return the transforms to every displaced surface after M1 from its predecessor.
-
-    The first one leads from the optics frame of M1. Every surface moves about its own vertex in the axes of
-    the optics frame; the relative transforms follow from the absolute poses (Störkle 2018, Eq. 4.2-4.4).
+def displaced(position: Array, rotation: Array, motion: Array) -> tuple[Array, Array]:
+    """Return positions (T, L, 3) and rotations (T, L, 3, 3) of frames that move in their own axes.
 
     Parameters
     ----------
-    system : SegmentedTelescope
-    motion : ndarray, shape (batch, L, 6)
-        dx, dy, dz in mm and Cardan angles rx, ry, rz in rad of M2, M3, ..., image; the batch is a whole
-        number of tiles.
+    position : ndarray, shape (L, 3)
+        At rest.
+    rotation : ndarray, shape (L, 3, 3)
+    motion : ndarray, shape (T, L, 6)
+        Displacements and Cardan angles.
+    """
+    return position + (rotation @ motion[..., :3, None])[..., 0], rotation @ cardan(motion[..., 3:])
 
-    Returns
-    -------
-    ndarray, shape (batch / 16, L, 12, 16)
+
+def after_m1(system: OpticalSystem, motion: Array) -> tuple[Array, Array]:
+    """Return where the surfaces after M1 stand (`displaced`) when all surfaces move by `motion` (T, L, 6).
 
     Raises
     ------
     UserError
         If the motion has the wrong shape.
     """
-    batch, count = motion.shape[0], len(system.surfaces)
-    _require_motions("surface", motion, count)
-    position = np.array([surface.position for surface in system.surfaces]) + motion[..., :3]
-    rotation = cardan(motion[..., 3:]) @ np.array([surface.rotation for surface in system.surfaces])
+    _require_motions("surface", motion, len(system.surfaces))
+    after = system.after_primary
+    position = np.array([surface.position for surface in after])
+    rotation = np.array([surface.rotation for surface in after])
+    return displaced(position, rotation, motion[:, -len(after) :])
+
+
+def relative_transforms(position: Array, rotation: Array) -> Array:
+    """Return the transforms to every surface after M1 from its predecessor, shape (T / 16, L, 12, 16).
+
+    The first one leads from the optics frame of M1 (Störkle 2018, Eq. 4.2-4.4).
+
+    Parameters
+    ----------
+    position : ndarray, shape (T, L, 3)
+        From `after_m1`; whole tiles of instants.
+    rotation : ndarray, shape (T, L, 3, 3)
+    """
+    batch, count = position.shape[:2]
     before_position = np.concatenate([np.zeros((batch, 1, 3)), position[:, :-1]], axis=1)
     before_rotation = np.concatenate([np.broadcast_to(np.eye(3), (batch, 1, 3, 3)), rotation[:, :-1]], axis=1)
     inverse = np.swapaxes(rotation, -1, -2)
@@ -174,51 +187,6 @@ def surface_poses(system: SegmentedTelescope, motion: Array) -> Array:
     poses[..., :9] = (inverse @ before_rotation).reshape(batch, count, 9)
     poses[..., 9:] = (inverse @ (before_position - position)[..., None])[..., 0]
     return to_tiles(poses)
-
-
-def in_optics_frame(motion: Array, rotation: Array) -> Array:
-    """Return a surface's motion in the axes of the optics frame, as `surface_poses` takes it.
-
-    Parameters
-    ----------
-    motion : ndarray, shape (T, 6)
-        dx, dy, dz and Cardan angles x-y-z in the surface's own frame at rest, about its vertex.
-    rotation : ndarray, shape (3, 3)
-        Of the surface's frame into the optics frame.
-
-    Returns
-    -------
-    ndarray, shape (T, 6)
-    """
-    if (rotation == np.eye(3)).all():
-        return motion
-    turned = rotation @ cardan(motion[:, 3:]) @ rotation.T
-    return np.hstack([motion[:, :3] @ rotation.T, cardan_angles(turned)])
-
-
-def carried(system: SegmentedTelescope, surfaces: Sequence[int], motion: Array) -> NDArray[np.float64]:
-    """Return the motions of surfaces that a body carries, as `surface_poses` takes them.
-
-    Parameters
-    ----------
-    system : SegmentedTelescope
-    surfaces : sequence of n int
-        Of the body, counted from M2.
-    motion : ndarray, shape (T, 6)
-        dx, dy, dz and Cardan angles x-y-z along and about the axes of its first surface, through the middle
-        between its first and last vertex.
-
-    Returns
-    -------
-    ndarray, shape (T, n, 6)
-    """
-    first, last = (system.surfaces[index] for index in (min(surfaces), max(surfaces)))
-    own = in_optics_frame(motion, first.rotation)
-    arms = np.array([system.surfaces[index].position for index in surfaces])
-    arms = arms - (first.position + last.position) / 2.0
-    found = np.repeat(own[:, None], len(arms), axis=1)
-    found[..., :3] += np.einsum("tij,nj->tni", cardan(own[:, 3:]) - np.eye(3), arms)
-    return found
 
 
 def field_directions(field: Array) -> Array:

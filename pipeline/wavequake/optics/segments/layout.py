@@ -55,12 +55,15 @@ class Segments:
     corners : ndarray, shape (S, V, 2)
         Projected glass corners, counter-clockwise; a polygon with fewer than V corners repeats its last one.
         V = 0 is a mirror without segments, whose aperture is the annulus of the pupil.
+    figure_terms : int
+        Number of Noll polynomials by which each segment can deform.
     """
 
     names: tuple[str, ...]
     centers: NDArray[np.float64]
     axes: NDArray[np.float64]
     corners: NDArray[np.float64]
+    figure_terms: int = 0
 
     def __len__(self) -> int:
         return len(self.names)

@@ -16,13 +16,14 @@ from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import TILE, from_tiles, padded
 from wavequake.kernels.trace.status import OK
 from wavequake.optics.derivatives.central import central, checked_derivative
-from wavequake.optics.segments.kinematics import field_directions
 from wavequake.optics.segments.modal import COMMON, RIGID, ModalModel, layout_of
-from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
-from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, directions, trace_states
+from wavequake.optics.segments.telescope import M2
 from wavequake.optics.segments.wavefront import los_eq339
 from wavequake.optics.shapes.concave import signed_distance
 from wavequake.optics.shapes.polygons import concave
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import States
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ _SHORTER, _FAINT = (1.0, 0.25, 0.0625), 1e-2
 _LAUNCH_TILES = 16
 
 
-def modal_model(prepared: PreparedTrace, device: Device, field: Array, dofs: tuple[int, ...]) -> ModalModel:
+def modal_model(prepared: PreparedTrace, device: Device, dofs: tuple[int, ...]) -> ModalModel:
     """Trace the derivatives of the OPD with respect to the motions that the caller means to use.
 
     Parameters
@@ -43,8 +44,6 @@ def modal_model(prepared: PreparedTrace, device: Device, field: Array, dofs: tup
     prepared : PreparedTrace
         With coefficients from path lengths about the chief ray (no `slopes`, no `sphere`).
     device : Device
-    field : ndarray, shape (2,)
-        Field point, rad.
     dofs : tuple of int
         See `ModalModel`.
 
@@ -58,23 +57,21 @@ def modal_model(prepared: PreparedTrace, device: Device, field: Array, dofs: tup
     *shorter, last = (factor * _steps(dofs) for factor in _SHORTER)
     for steps in shorter:
         with suppress(UserError):
-            return _modal_model(prepared, device, field, dofs, steps)
-    return _modal_model(prepared, device, field, dofs, last)
+            return _modal_model(prepared, device, dofs, steps)
+    return _modal_model(prepared, device, dofs, last)
 
 
-def _modal_model(
-    prepared: PreparedTrace, device: Device, field: Array, dofs: tuple[int, ...], steps: Array
-) -> ModalModel:
+def _modal_model(prepared: PreparedTrace, device: Device, dofs: tuple[int, ...], steps: Array) -> ModalModel:
     singles, pairs = _stencils(len(steps))
     opd, x, y, chief = (
-        np.concatenate(part, axis=-1) for part in _traced(prepared, device, field, dofs, singles * steps)
+        np.concatenate(part, axis=-1) for part in _traced(prepared, device, dofs, singles * steps)
     )
     still, remedy = opd[:, 0], "take other optics.rays, or optics.light = 'traced'"
     twice = 2.0 * singles[1:] * steps
-    far = np.concatenate(_traced(prepared, device, field, dofs, twice, whole=False)[0], axis=-1)
+    far = np.concatenate(_traced(prepared, device, dofs, twice, whole=False)[0], axis=-1)
     fourfold = np.stack([opd[:, 1::2], opd[:, 2::2], far[:, 0::2], far[:, 1::2]])
     turns = np.array([3 <= dof < RIGID for dof in dofs] + [True] * COMMON)
-    least = np.where(turns, _FAINT * prepared.system.pupil_outer / prepared.wavelength, 0.0)
+    least = np.where(turns, _FAINT * prepared.system.annulus.outer / prepared.wavelength, 0.0)
     slope = checked_derivative(fourfold, steps, "the path lengths", remedy, 0, turns, least)
     slope_x, slope_y = (central(np.stack([one[:, 1::2], one[:, 2::2]]), steps) for one in (x, y))
     chief_slope = central(np.stack([chief[:, 1::2], chief[:, 2::2]]), steps).T
@@ -85,13 +82,13 @@ def _modal_model(
     twist = np.concatenate(
         [
             _rms(prepared.weight, part[:, 0::4] + part[:, 1::4] - part[:, 2::4] - part[:, 3::4])
-            for part, *_ in zip(*_traced(prepared, device, field, dofs, pairs * steps), strict=True)
+            for part, *_ in zip(*_traced(prepared, device, dofs, pairs * steps), strict=True)
         ]
         if len(pairs)
         else [np.zeros(0)]
     )
     curvature[first, second] = curvature[second, first] = twist / (4.0 * steps[first] * steps[second])
-    return _assembled(prepared, dofs, still, (slope, slope_x, slope_y, chief_slope), curvature, field)
+    return _assembled(prepared, dofs, still, (slope, slope_x, slope_y, chief_slope), curvature)
 
 
 def _steps(dofs: tuple[int, ...]) -> Array:
@@ -115,7 +112,6 @@ def _stencils(count: int) -> tuple[Array, Array]:
 def _traced(
     prepared: PreparedTrace,
     device: Device,
-    field: Array,
     dofs: tuple[int, ...],
     moved: Array,
     whole: bool = True,
@@ -128,7 +124,7 @@ def _traced(
     parts: tuple[list[Array], list[Array], list[Array], list[Array]] = ([], [], [], [])
     for begin in range(0, len(moved), _LAUNCH_TILES * TILE):
         motions = moved[begin : begin + _LAUNCH_TILES * TILE]
-        states = _states(prepared, field, dofs, motions)
+        states = _states(prepared, dofs, motions)
         traced = trace_states(prepared, states, device)
         count = len(motions)
         lost = from_tiles((traced.status != OK).astype(float))[:count] > 0.0
@@ -145,19 +141,16 @@ def _traced(
     return parts
 
 
-def _states(prepared: PreparedTrace, field: Array, dofs: tuple[int, ...], motions: Array) -> SurfaceStates:
+def _states(prepared: PreparedTrace, dofs: tuple[int, ...], motions: Array) -> States:
     count = len(motions)
-    segments, _, terms = prepared.figure_matrix.shape
-    surfaces, mirror_terms = len(prepared.system.surfaces), prepared.mirror_matrix.shape[1]
-    states = rest(padded(count), segments, surfaces, terms, mirror_terms)
+    states = rest_states(prepared.system, padded(count))
     for column, dof in enumerate(dofs):
         if dof < RIGID:
             states.segment_motion[:count, :, dof] = motions[:, column, None]
         else:
             states.segment_figure[:count, :, dof - RIGID] = motions[:, column, None]
-    states.surface_motion[:count, 0, 3:5] = motions[:, len(dofs) : len(dofs) + 2]
-    states.field[:] = field
-    states.field[:count] += motions[:, len(dofs) + 2 :]
+    states.surface_motion[:count, M2, 3:5] = motions[:, len(dofs) : len(dofs) + 2]
+    states.line_of_sight[:count] = motions[:, len(dofs) + 2 :]
     return states
 
 
@@ -171,7 +164,6 @@ def _assembled(
     still: Array,
     slopes: tuple[Array, Array, Array, Array],
     curvature: Array,
-    field: Array,
 ) -> ModalModel:
     """Reduce fields over the rays (N, D + 4) to sums over each segment; over all rays for what is common."""
     opd, x, y, chief = slopes
@@ -225,21 +217,21 @@ def _assembled(
         rest_square=float(weight @ still**2),
         plane_normal=prepared.plane.normal,
         curvature=curvature,
-        clearance=_clearance(prepared, field),
+        clearance=_clearance(prepared),
         radius=_largest_radius(prepared),
     )
 
 
-def _clearance(prepared: PreparedTrace, field: Array) -> float:
+def _clearance(prepared: PreparedTrace) -> float:
     """Return the distance (mm) of the ray nearest to the edge of its segment; infinite without edges."""
     system, rays = prepared.system, prepared.rays
     corners = system.segments.corners
     if corners.shape[1] == 0:
         return np.inf
-    curvature, conic = prepared.train.primary_curvature, system.primary_conic
+    curvature, conic = prepared.train.primary_curvature, system.primary.shape.conic
     square = rays.x**2 + rays.y**2
     sag = curvature * square / (1.0 + np.sqrt(1.0 - (1.0 + conic) * curvature**2 * square))
-    direction = field_directions(np.broadcast_to(field, (TILE, 2)))[0, :, 0]
+    direction = directions(prepared, rest_states(system, TILE))[0, :, 0]
     x, y = (
         place + part / direction[2] * (sag - system.stop_z)
         for place, part in zip((rays.x, rays.y), direction, strict=False)
@@ -254,5 +246,5 @@ def _clearance(prepared: PreparedTrace, field: Array) -> float:
 def _largest_radius(prepared: PreparedTrace) -> float:
     segments = prepared.system.segments
     if segments.corners.shape[1] == 0:
-        return prepared.system.pupil_outer
+        return prepared.system.annulus.outer
     return float(np.linalg.norm(segments.corners - segments.centers[:, None, :2], axis=2).max())

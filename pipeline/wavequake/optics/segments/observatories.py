@@ -6,10 +6,11 @@ import numpy as np
 
 from wavequake.optics.segments.arrangements import circular_segments, elt_segments
 from wavequake.optics.segments.layout import hexagon_ring_segments
-from wavequake.optics.segments.telescope import Row, SegmentedTelescope, around_its_glass
+from wavequake.optics.segments.telescope import Row, around_its_glass
+from wavequake.optics.systems.system import OpticalSystem
 
 
-def keck() -> SegmentedTelescope:
+def keck() -> OpticalSystem:
     """Return a Keck telescope: 36 segments, f/15 secondary, f = 149.58 m.
 
     M1 is that of J. Nelson, Optical parameters of the Keck telescope, Keck Observatory Technical Note 163
@@ -32,7 +33,7 @@ def keck() -> SegmentedTelescope:
     return around_its_glass("keck", segments, radius, conic, rows, note)
 
 
-def gtc() -> SegmentedTelescope:
+def gtc() -> OpticalSystem:
     """Return the Gran Telescopio Canarias: 36 segments, f = 170.0 m (published: 169.9 m).
 
     Radii of 33 m and 3.899678 m, conics of -1.002250 and -1.504835, 14.73941 m between the mirrors and
@@ -53,7 +54,7 @@ def gtc() -> SegmentedTelescope:
     return around_its_glass("gtc", segments, radius, conic, rows, note)
 
 
-def het() -> SegmentedTelescope:
+def het() -> OpticalSystem:
     """Return the Hobby-Eberly Telescope: 91 segments of a sphere and a corrector of one mirror, f = 36.5 m.
 
     Published are 91 hexagons of 1 m across flats, equal parts of a sphere of R = 26.165 m, an array of 11.1 m
@@ -87,7 +88,7 @@ def het() -> SegmentedTelescope:
     return around_its_glass("het", segments, radius, 0.0, rows, note)
 
 
-def gmt() -> SegmentedTelescope:
+def gmt() -> OpticalSystem:
     """Return the Giant Magellan Telescope: seven round mirrors, Gregorian, f = 207.6 m (f/8.16 of 25.4 m).
 
     The prescription is that of the telescope's public simulation program (github.com/rconan/geotrans):
@@ -109,7 +110,7 @@ def gmt() -> SegmentedTelescope:
     return around_its_glass("gmt", segments, radius, conic, rows, note)
 
 
-def elt() -> SegmentedTelescope:
+def elt() -> OpticalSystem:
     """Return ESO's Extremely Large Telescope: 798 segments, five mirrors, f = 684.0 m.
 
     Published (ESO) are 798 hexagons of about 1.4 m with gaps of 4 mm, a mirror 39.15 m across at f/0.88, a

@@ -18,11 +18,23 @@ from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.rays.pupils import PupilRays
 from wavequake.optics.segments.aspheres import asphere_polynomials, figures_at_rest, with_aspheres
 from wavequake.optics.segments.figures import figure_frames, segment_radii
-from wavequake.optics.segments.kinematics import field_directions, segment_poses, surface_poses
+from wavequake.optics.segments.kinematics import (
+    after_m1,
+    field_directions,
+    relative_transforms,
+    segment_poses,
+)
 from wavequake.optics.segments.layout import candidates, edges_of
-from wavequake.optics.segments.states import SurfaceStates, rest
-from wavequake.optics.segments.telescope import SegmentedTelescope, first_order, footprints, semi_diameters
+from wavequake.optics.segments.telescope import (
+    M2,
+    first_order,
+    footprints,
+    refractive_indices,
+    semi_diameters,
+    with_figures,
+)
 from wavequake.optics.shapes.basis import ZernikeBasis, zernike_basis
+from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.optics.wavefronts.fits import (
     MORE_SEGMENT_RAYS,
     Fit,
@@ -43,7 +55,7 @@ class PreparedTrace:
 
     Attributes
     ----------
-    system : SegmentedTelescope
+    system : OpticalSystem
     rays : PupilRays
         The N rays that meet glass in the reference configuration.
     wavelength : float
@@ -67,8 +79,8 @@ class PreparedTrace:
     aspheres : ndarray, shape (L - 1, M'), optional
         What mirrors after M1 have beyond their conics, in the same polynomials.
     obscuration, numerical_aperture, focal_length : float
-    chief : ndarray, shape (2,)
-        Image point of the virtual chief ray in the reference configuration.
+    field : int
+        Index of the field point.
     slopes : Fit, optional
         From `slopes.slope_fit`: coefficients come from where rays meet the image, not from path lengths.
     sphere : Fit, optional
@@ -76,7 +88,7 @@ class PreparedTrace:
         the wavefront best, not about that of the chief ray.
     """
 
-    system: SegmentedTelescope
+    system: OpticalSystem
     rays: PupilRays
     wavelength: float
     train: SegmentedTrain
@@ -91,14 +103,19 @@ class PreparedTrace:
     obscuration: float
     numerical_aperture: float
     focal_length: float
-    chief: Array
+    field: int = 0
     slopes: Fit | None = None
     sphere: Fit | None = None
     aspheres: Array | None = None
 
+    @property
+    def point(self) -> Array:
+        """Field point (2,), rad."""
+        return np.asarray(self.system.fields[self.field], dtype=np.float64)
+
 
 def prepare(
-    system: SegmentedTelescope,
+    system: OpticalSystem,
     rays: PupilRays,
     wavelength: float,
     terms: int,
@@ -110,7 +127,7 @@ def prepare(
 
     Parameters
     ----------
-    system : SegmentedTelescope
+    system : OpticalSystem
     rays : PupilRays
         Those that meet no segment are left out.
     wavelength : float
@@ -139,11 +156,11 @@ def prepare(
         raise UserError(
             f"none of the {len(rays.x)} rays meets a segment of {system.name}, so there is no wavefront"
         )
-    system = replace(system, wavelength=wavelength)
+    system = with_figures(replace(system, wavelengths=np.array([wavelength])), figure_terms, mirror_terms)
     rays = PupilRays(rays.x[used], rays.y[used], rays.weight[used], rays.segment[used])
     weight = rays.weight / np.sum(rays.weight)
-    x, y = rays.x / system.pupil_outer, rays.y / system.pupil_outer
-    obscuration = system.pupil_inner / system.pupil_outer
+    x, y = rays.x / system.annulus.outer, rays.y / system.annulus.outer
+    obscuration = system.annulus.inner / system.annulus.outer
     optics = first_order(system)
     figure, mirror = (zernike_basis(count) if count else _NO_FIGURE for count in (figure_terms, mirror_terms))
     mirror, aspheres = with_aspheres(mirror, asphere_polynomials(system))
@@ -155,8 +172,6 @@ def prepare(
             f"segment {name} has too few rays for its tilt (at least 3 not in a line); raise optics.rays."
         )
     places = np.add.outer(np.arange(3), 3 * rays.segment).ravel(), np.tile(np.arange(len(x)), 3)
-    still = rest(TILE, len(system.segments), len(system.surfaces))
-    at_rest = surface_poses(system, still.surface_motion)
     return PreparedTrace(
         system=system,
         rays=rays,
@@ -175,29 +190,25 @@ def prepare(
         obscuration=obscuration,
         numerical_aperture=optics.numerical_aperture,
         focal_length=optics.focal_length,
-        chief=trace_chief(
-            *(train, at_rest, field_directions(still.field), system.stop_z),
-            mirror_figure=figures_at_rest(aspheres, 1),
-        )[0, :2, 0],
         aspheres=aspheres,
     )
 
 
 def _train(
-    system: SegmentedTelescope, figure: ZernikeBasis, mirror: ZernikeBasis, sphere_radius: float
+    system: OpticalSystem, figure: ZernikeBasis, mirror: ZernikeBasis, sphere_radius: float
 ) -> SegmentedTrain:
     """Pack the parts of a system that do not move."""
-    indices = system.indices
+    indices = refractive_indices(system)
     return SegmentedTrain(
-        primary_curvature=1.0 / system.primary_radius,
-        primary_conic=system.primary_conic,
+        primary_curvature=1.0 / system.primary.shape.radius,
+        primary_conic=system.primary.shape.conic,
         edges=edges_of(system.segments),
         figure_frames=figure_frames(system),
         figure_degree=figure.degree,
-        surface_curvatures=np.array([1.0 / surface.shape.radius for surface in system.surfaces]),
-        surface_conics=np.array([surface.shape.conic for surface in system.surfaces]),
+        surface_curvatures=np.array([1.0 / surface.shape.radius for surface in system.after_primary]),
+        surface_conics=np.array([surface.shape.conic for surface in system.after_primary]),
         sphere_radius=sphere_radius,
-        semi_diameters=semi_diameters(system.surfaces),
+        semi_diameters=semi_diameters(system.after_primary),
         mirror_degree=mirror.degree,
         mirror_radii=footprints(system) if mirror.degree >= 0 else None,
         figure_basis=figure.basis,
@@ -206,44 +217,42 @@ def _train(
     )
 
 
-def chief_rays(prepared: PreparedTrace, states: SurfaceStates) -> Array:
+def chief_rays(prepared: PreparedTrace, states: States) -> Array:
     """Return the virtual chief ray of every instant, shape (T, 3, 16), mm.
 
     It has image x, y and the path length to the reference sphere, and is traced through the undisturbed
     parent of M1 and the displaced surfaces after it.
     """
-    poses = surface_poses(prepared.system, states.surface_motion)
     return trace_chief(
         prepared.train,
-        poses,
-        field_directions(states.field),
+        relative_transforms(*after_m1(prepared.system, states.surface_motion)),
+        directions(prepared, states),
         prepared.system.stop_z,
         mirror_figure=_mirror_figure(prepared, states),
     )
 
 
-def _mirror_figure(prepared: PreparedTrace, states: SurfaceStates) -> Array | None:
+def _mirror_figure(prepared: PreparedTrace, states: States) -> Array | None:
     """Return the coefficients (T, L - 1, M, 16) of the figures of the mirrors after M1."""
-    mirrors, terms = len(prepared.system.surfaces) - 1, prepared.mirror_matrix.shape[1]
-    if not terms and states.mirror_figure is None:
+    shape = (len(states), prepared.mirror_matrix.shape[1])
+    figures = [one for one in states.deformations[M2:-1] if one is not None]
+    if not shape[1] and not figures:
         return figures_at_rest(prepared.aspheres, len(states) // TILE)
-    shape = (len(states), mirrors, terms)
-    found = None if states.mirror_figure is None else states.mirror_figure.shape
-    if found != shape:
-        raise UserError(f"the mirror figures have the shape {found}, it must be {shape}")
-    assert states.mirror_figure is not None
-    lanes_last = states.mirror_figure.reshape(-1, TILE, *shape[1:]).transpose(0, 2, 3, 1)
+    found = [one.shape for one in figures]
+    if found != [shape] * (len(prepared.system.after_primary) - 1):
+        raise UserError(f"the figures of mirrors after M1 have the shapes {found}, each must be {shape}")
+    lanes_last = np.stack([one.reshape(-1, TILE, shape[1]) for one in figures], axis=1).swapaxes(2, 3)
     coefficients: Array = np.matmul(prepared.mirror_matrix, lanes_last)
     return coefficients if prepared.aspheres is None else coefficients + prepared.aspheres[:, :, None]
 
 
-def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> Traced:
+def trace_states(prepared: PreparedTrace, states: States, device: Device) -> Traced:
     """Trace all rays at all instants in one launch.
 
     Parameters
     ----------
     prepared : PreparedTrace
-    states : SurfaceStates
+    states : States
         The batch is a whole number of tiles; NaN motions lose the rays that they concern.
     device : Device
 
@@ -253,9 +262,14 @@ def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device)
         If the states do not fit the telescope.
     """
     system = prepared.system
-    if not len(states) or len(states) % TILE or states.field.shape != (len(states), 2):
+    if not len(states) or len(states) % TILE or states.line_of_sight.shape != (len(states), 2):
         raise UserError(
-            f"the fields have the shape {states.field.shape}, it must be (whole number of tiles of {TILE}, 2)"
+            f"the line of sight has the shape {states.line_of_sight.shape}, it must be "
+            f"(whole number of tiles of {TILE}, 2)"
+        )
+    if states.surface_motion[:, :M2].any():
+        raise UserError(
+            f"the stop and M1 of {system.name} stand still where segments are traced; its segments move"
         )
     shape = (len(states), *prepared.figure_matrix.shape[::2])
     if states.segment_figure.shape != shape:
@@ -266,7 +280,7 @@ def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device)
     if prepared.figure_matrix.size:
         lanes_last = states.segment_figure.reshape(-1, TILE, *shape[1:]).transpose(0, 2, 3, 1)
         figure = np.matmul(prepared.figure_matrix, lanes_last)
-    wander = _wander(system, states)
+    wander = _wander(prepared, states)
     chosen = prepared.candidates
     if wander > prepared.margin:
         chosen = candidates(system.segments, prepared.rays.x, prepared.rays.y, wander)
@@ -278,17 +292,33 @@ def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device)
         chosen,
         segment_poses(system.segments, states.segment_motion),
         figure,
-        surface_poses(system, states.surface_motion),
-        field_directions(states.field),
+        relative_transforms(*after_m1(system, states.surface_motion)),
+        directions(prepared, states),
         chief_rays(prepared, states),
         device,
         _mirror_figure(prepared, states),
     )
 
 
-def _wander(system: SegmentedTelescope, states: SurfaceStates) -> float:
+def at_field(prepared: PreparedTrace, field: Array) -> PreparedTrace:
+    """Return what is prepared, for the light of a field point (2,) in rad."""
+    return replace(prepared, system=replace(prepared.system, fields=np.array([field], dtype=np.float64)))
+
+
+def _angles(prepared: PreparedTrace, states: States) -> Array:
+    return prepared.point + states.line_of_sight
+
+
+def directions(prepared: PreparedTrace, states: States) -> Array:
+    """Return the unit vectors (T / 16, 3, 16) of the incoming light."""
+    unit: Array = field_directions(_angles(prepared, states))
+    return unit
+
+
+def _wander(prepared: PreparedTrace, states: States) -> float:
     """Return a bound (mm) of how far rays wander across segments by the motions and the field angles."""
-    motion, angle = np.abs(states.segment_motion), np.abs(states.field)
+    system, motion = prepared.system, np.abs(states.segment_motion)
+    angle = np.abs(_angles(prepared, states))
     for magnitudes in (motion, angle):
         magnitudes[~np.isfinite(magnitudes)] = 0.0  # such rays are lost anyhow
     largest = motion.max(axis=0).max(axis=0)  # twice: instants first is five times as fast as both at once

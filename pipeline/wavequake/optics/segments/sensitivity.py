@@ -30,12 +30,14 @@ from wavequake.optics.derivatives.central import (
 )
 from wavequake.optics.segments.kinematics import carried_segments
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
-from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.telescope import M2
 from wavequake.optics.segments.wavefront import analyse, measure
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import States
 
 Array = NDArray[np.float64]
 # Writes into states at instants (K,) how far (K,) elements (K,) move in their degrees of freedom (K,).
-_Move = Callable[[SurfaceStates, Indices, Indices, Indices, Array], None]
+_Move = Callable[[States, Indices, Indices, Indices, Array], None]
 
 _LAUNCH_TILES = 32  # about 40 MB per output array at 9000 rays
 _LAUNCH_NUMBERS = 2**24  # and no more motions, poses and figures of segments than this
@@ -64,14 +66,13 @@ class Sensitivities:
 def sensitivities(
     prepared: PreparedTrace,
     device: Device,
-    field: Array | None = None,
     steps: Steps | None = None,
     tolerance: float = TOLERANCE,
 ) -> Sensitivities:
     """Return the kinematic-optical sensitivities about the reference configuration.
 
-    Surfaces move about their vertices in the axes of the optics frame, M1 with all its segments, too;
-    segments by themselves about their centers in their local frames (see `SurfaceStates`). Nothing is
+    Surfaces move about their vertices in their own frames at rest, M1 with all its segments, too;
+    segments by themselves about their centers in their local frames (see `States`). Nothing is
     inverted here; rows of piston and tilt never should be.
 
     Parameters
@@ -79,8 +80,6 @@ def sensitivities(
     prepared : PreparedTrace
         Its numbers of figure terms are those of the figures' matrices.
     device : Device
-    field : ndarray, shape (2,), optional
-        Field point, rad; the axis by default.
     steps : Steps, optional
     tolerance : float
         See `SensitivityMatrix.disagreement`; whether it is kept is said by `SensitivityMatrix.agrees`.
@@ -92,14 +91,13 @@ def sensitivities(
     """
     steps = steps or Steps()
     steps.require()
-    at = np.zeros(2) if field is None else field
-    still = _rest(prepared, TILE)
+    still = rest_states(prepared.system, TILE)
     terms, mirror_terms = prepared.figure_matrix.shape[2], prepared.mirror_matrix.shape[1]
-    lost = int(measure(prepared, replace(still, field=still.field + at), device).lost[0])
+    lost = int(measure(prepared, still, device).lost[0])
     if lost == len(prepared.rays.x):
         raise UserError(f"no ray of {prepared.system.name} reaches the image at rest; check the field point")
     rigid = np.repeat([steps.translation, steps.rotation], 3)
-    surface_names = tuple(surface.name for surface in prepared.system.surfaces)
+    surface_names = tuple(surface.name for surface in prepared.system.after_primary)
     segment_names = tuple(prepared.system.segments.names)
     figure_names = tuple(f"Z{j}" for j in range(1, max(terms, mirror_terms) + 1))
 
@@ -108,8 +106,7 @@ def sensitivities(
     ) -> SensitivityMatrix:
         def pairs(element: Indices, dof: Indices, size: Array) -> Differences:
             plus = 2 * np.arange(len(element))
-            states = _rest(prepared, padded(2 * len(element)))
-            states.field[:] = at
+            states = rest_states(prepared.system, padded(2 * len(element)))
             move(states, plus, element, dof, size)
             move(states, plus + 1, element, dof, -size)
             return _pair_differences(prepared, device, states, lost).first(len(element))
@@ -117,14 +114,14 @@ def sensitivities(
         # A tilt of the pupil by one unit, and the image's answer to it.
         turns = np.array([name in DOFS[3:] for name in dofs])
         radius, image = (
-            np.where(turns, length, 1.0) for length in (prepared.system.pupil_outer, prepared.focal_length)
+            np.where(turns, length, 1.0) for length in (prepared.system.annulus.outer, prepared.focal_length)
         )
         faint = (FAINT * np.abs(radius / prepared.wavelength), FAINT * np.abs(image))
         return sensitivity_matrix(pairs, _at_once(prepared), elements, dofs, sizes, faint, tolerance)
 
     return Sensitivities(
         primary=matrix(_together(prepared), ("M1",), DOFS, rigid),
-        surfaces=matrix(_one_by_one("surface_motion"), surface_names, DOFS, rigid),
+        surfaces=matrix(_surface, surface_names, DOFS, rigid),
         segments=matrix(_one_by_one("segment_motion"), segment_names, DOFS, rigid),
         figures=matrix(
             _one_by_one("segment_figure"), segment_names, figure_names[:terms], np.full(terms, steps.figure)
@@ -132,7 +129,7 @@ def sensitivities(
         if terms
         else None,
         mirrors=matrix(
-            _one_by_one("mirror_figure"),
+            _mirror,
             surface_names[:-1],
             figure_names[:mirror_terms],
             np.full(mirror_terms, steps.figure),
@@ -142,18 +139,24 @@ def sensitivities(
     )
 
 
-def _rest(prepared: PreparedTrace, batch: int) -> SurfaceStates:
-    segments, _, terms = prepared.figure_matrix.shape
-    return rest(batch, segments, len(prepared.system.surfaces), terms, prepared.mirror_matrix.shape[1])
-
-
 def _one_by_one(name: str) -> _Move:
-    """Return how entries (element, dof) of an array of `SurfaceStates` move by themselves."""
+    """Return how entries (element, dof) of an array of `States` move by themselves."""
 
-    def move(states: SurfaceStates, instant: Indices, element: Indices, dof: Indices, size: Array) -> None:
+    def move(states: States, instant: Indices, element: Indices, dof: Indices, size: Array) -> None:
         getattr(states, name)[instant, element, dof] = size
 
     return move
+
+
+def _surface(states: States, instant: Indices, element: Indices, dof: Indices, size: Array) -> None:
+    states.surface_motion[instant, M2 + element, dof] = size
+
+
+def _mirror(states: States, instant: Indices, element: Indices, dof: Indices, size: Array) -> None:
+    for number, figure in enumerate(states.deformations[M2:-1]):
+        assert figure is not None
+        mine = element == number
+        figure[instant[mine], dof[mine]] = size[mine]
 
 
 def _together(prepared: PreparedTrace) -> _Move:
@@ -163,7 +166,7 @@ def _together(prepared: PreparedTrace) -> _Move:
     """
     carried = carried_segments(prepared.system.segments)
 
-    def move(states: SurfaceStates, instant: Indices, element: Indices, dof: Indices, size: Array) -> None:
+    def move(states: States, instant: Indices, element: Indices, dof: Indices, size: Array) -> None:
         states.segment_motion[instant] = size[:, None, None] * carried[dof]
 
     return move
@@ -176,9 +179,7 @@ def _at_once(prepared: PreparedTrace) -> int:
     return tiles * TILE // 2
 
 
-def _pair_differences(
-    prepared: PreparedTrace, device: Device, states: SurfaceStates, lost: int
-) -> Differences:
+def _pair_differences(prepared: PreparedTrace, device: Device, states: States, lost: int) -> Differences:
     """Trace a batch of pairs of instants."""
     traced = trace_states(prepared, states, device)
     wavefront = analyse(prepared, traced, chief_rays(prepared, states), device)

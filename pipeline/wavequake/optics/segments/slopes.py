@@ -32,10 +32,11 @@ from wavequake.kernels.trace.status import OK
 from wavequake.optics.derivatives.central import gradient
 from wavequake.optics.polynomials.zernike import annular_zernike_gradient
 from wavequake.optics.segments.aspheres import figures_at_rest
-from wavequake.optics.segments.kinematics import cardan, field_directions, surface_poses
-from wavequake.optics.segments.prepared import PreparedTrace, chief_rays
-from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.kinematics import after_m1, relative_transforms
+from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, directions
 from wavequake.optics.segments.telescope import surface_transforms
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.fits import MORE_SEGMENT_RAYS, Fit, fit_tile, weighted_fit
 
 Array = NDArray[np.float64]
@@ -46,9 +47,7 @@ STEP = 1e-4  # of the pupil's radius: its square and rounding over it are both b
 _UPSTREAM = 0.25  # of the reference sphere's radius: where the second point of a ray's line is taken
 
 
-def slope_fit(
-    prepared: PreparedTrace, field: tuple[float, float] = (0.0, 0.0), motion: Array | None = None
-) -> Fit:
+def slope_fit(prepared: PreparedTrace, motion: Array | None = None) -> Fit:
     """Return the least-squares fit from the rays' image points to Zernike coefficients j = 2..J.
 
     It is linear about a reference state: exact there, and elsewhere wrong by as much as the exit pupil has
@@ -59,11 +58,8 @@ def slope_fit(
     ----------
     prepared : PreparedTrace
         Its terms, its rays and their weights are used.
-    field : tuple of float
-        Direction of the light (as in `SurfaceStates.field`, rad) in the reference.
     motion : ndarray, shape (L, 6), optional
-        Motion of the surfaces after M1 in the reference (as in `SurfaceStates.surface_motion`); rest if left
-        out.
+        Motion of the surfaces in the reference (as in `States.surface_motion`); rest if left out.
 
     Returns
     -------
@@ -76,12 +72,11 @@ def slope_fit(
         If a ray does not reach the image in the reference, the rays do not determine the coefficients, or the
         motion has the wrong shape.
     """
-    outer, terms = prepared.system.pupil_outer, prepared.zernike.basis.shape[1]
-    states = rest(TILE, len(prepared.system.segments), len(prepared.system.surfaces))
+    outer, terms = prepared.system.annulus.outer, prepared.zernike.basis.shape[1]
+    states = rest_states(prepared.system, TILE)
     shape = states.surface_motion.shape[1:]
     if motion is not None and motion.shape != shape:
         raise UserError(f"the reference's surface motion has the shape {motion.shape}, it must be {shape}")
-    states.field[:] = field
     states.surface_motion[:] = 0.0 if motion is None else motion
     distance, derivatives, _ = sphere_points(prepared, states)
     _, *by = annular_zernike_gradient(
@@ -118,7 +113,7 @@ def offset_fit(slopes: Array, derivatives: Array, scale: Array, weight: Array, r
     return weighted_fit(np.concatenate([offsets[:, 0], offsets[:, 1]]), np.tile(weight, 2), remedy)
 
 
-def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array, Array, Array]:
+def sphere_points(prepared: PreparedTrace, states: States) -> tuple[Array, Array, Array]:
     """Return where rays leave the reference sphere in one state, which every instant of `states` repeats.
 
     Returns
@@ -130,7 +125,7 @@ def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array
     points : ndarray, shape (N, 2)
         x and y on the sphere about the chief ray's image point, mm.
     """
-    radius, step = prepared.train.sphere_radius, STEP * prepared.system.pupil_outer
+    radius, step = prepared.train.sphere_radius, STEP * prepared.system.annulus.outer
     before = _UPSTREAM * abs(radius)
     image, upstream = _two_points(prepared, states, step * SHIFTS, before)
     along = upstream - image
@@ -142,7 +137,7 @@ def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array
         lost = np.count_nonzero(~np.isfinite(sphere).all(axis=(0, 2)))
         raise UserError(
             f"{lost} of {image.shape[1]} rays do not reach the image of {prepared.system.name} from the "
-            f"field {tuple(states.field[0].tolist())} rad, so it has no slopes; choose a smaller field"
+            f"field {tuple(prepared.point.tolist())} rad, so it has no slopes; choose a smaller field"
         )
     return path[:, 0] * np.sqrt(squared[:, 0]), derivatives.transpose(1, 2, 0), sphere[..., 0].T
 
@@ -159,9 +154,7 @@ def to_sphere(image: Array, along: Array, squared: Array | float, radius: float)
     return np.asarray((np.copysign(root, radius) - inward) / squared)
 
 
-def _two_points(
-    prepared: PreparedTrace, states: SurfaceStates, shifts: Array, before: float
-) -> tuple[Array, Array]:
+def _two_points(prepared: PreparedTrace, states: States, shifts: Array, before: float) -> tuple[Array, Array]:
     """Return where rays meet the image plane and a plane `before` it, both (2, N, shifts), in mm.
 
     Positions count from the chief ray's image point. All lanes of one tile trace the same rays; the telescope
@@ -172,10 +165,11 @@ def _two_points(
     chief = chief_rays(prepared, states)
     lanes = np.zeros((TILE, 2))
     lanes[: 2 * count] = np.tile(shifts, (2, 1))
-    motion = states.surface_motion.copy()
-    motion[:, :, :2] -= lanes[:, None]
-    normal = (cardan(motion[0, -1, 3:]) @ system.surfaces[-1].rotation)[:, 2]
-    motion[count : 2 * count, -1, :3] += before * np.sign(surface_transforms(system)[-1, -1]) * normal
+    position, rotation = after_m1(system, states.surface_motion)
+    shift = np.zeros_like(position)
+    shift[:, :, :2] -= lanes[:, None]
+    normal = rotation[0, -1, :, 2]
+    shift[count : 2 * count, -1] += before * np.sign(surface_transforms(system)[-1, -1]) * normal
     primary = np.zeros((1, 1, 12, TILE))
     primary[:, :, [0, 4, 8]] = 1.0
     primary[0, 0, 9:11] = lanes.T
@@ -195,8 +189,8 @@ def _two_points(
         np.zeros((len(prepared.rays), 1), dtype=np.int32),
         primary,
         None,
-        surface_poses(system, motion),
-        field_directions(states.field),
+        relative_transforms(position + shift, rotation),
+        directions(prepared, states),
         chief,
         NUMPY,
         figures_at_rest(prepared.aspheres, 1),

@@ -1,7 +1,7 @@
 """Segmented telescopes: a segmented (or monolithic) primary mirror followed by mirrors and lenses."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from math import hypot, isfinite
 
 import numpy as np
@@ -12,59 +12,73 @@ from wavequake.kernels.trace.surfaces import conic_path, conic_sag
 from wavequake.optics.media.glasses import AIR, Medium, refractive_index
 from wavequake.optics.segments.layout import Segments
 from wavequake.optics.shapes.polygons import distance_from_origin
-from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening, Shape
-from wavequake.optics.systems.system import Surface
-from wavequake.words import counted
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening, Shape, ZernikeDeformation
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface, wavelength_of
 
 Array = NDArray[np.float64]
+
+M2 = 2
+"""Index of the first surface after M1: the stop and M1 stand before it."""
 
 _AXIS = np.array([0.0, 0.0, 1.0])
 _NEWTON_STEPS = 20
 
 
-@dataclass(frozen=True, repr=False)
-class SegmentedTelescope:
-    """A telescope in a reference configuration; lengths in mm.
+def segmented_telescope(
+    name: str,
+    segments: Segments,
+    radius: float,
+    conic: float,
+    surfaces: Iterable[Surface],
+    stop_z: float,
+    inner: float,
+    outer: float,
+    note: str = "",
+) -> OpticalSystem:
+    """Return a telescope whose primary mirror M1 carries segments; lengths in mm.
 
-    ``primary_radius``/``primary_conic`` describe the parent surface of M1 (vertex at the origin),
-    ``segments`` its glass, ``surfaces`` M2, M3, ... and last the image plane, conics and even aspheres with
-    round edges, in the optics frame of M1 (z along the incoming light). ``pupil_inner``/``pupil_outer``
-    are the radii of the annulus that normalizes the Zernike polynomials; ``stop_z`` is the plane in which
-    rays start (that of M1's rim). ``note`` says which of its numbers are assumed or approximate.
-    ``wavelength`` (mm) is that of the light that its lenses refract. ``bodies`` are surfaces, counted from
-    M2, that can move together, such as the faces of a lens.
+    Parameters
+    ----------
+    name : str
+    segments : Segments
+        The glass of M1.
+    radius, conic : float
+        Of the parent surface of M1, whose vertex is the origin.
+    surfaces : iterable of Surface
+        M2, M3, ... and last the image plane, in the optics frame of M1 (z along the incoming light).
+    stop_z : float
+        The plane in which rays start, that of M1's rim.
+    inner, outer : float
+        Radii of the annulus that normalizes the Zernike polynomials.
+    note : str
+        Which of its numbers are assumed or approximate.
     """
+    stop = Surface("stop", position=np.array([0.0, 0.0, stop_z]), opening=Opening(outer, inner))
+    primary = Surface("M1", Conic(radius, conic), action="reflect", segments=segments)
+    pupil = Pupil("entrance_diameter", 2.0 * outer, inner / outer)
+    return OpticalSystem(name, (stop, primary, *surfaces), 0, pupil, note=note)
 
-    name: str
-    segments: Segments
-    primary_radius: float
-    primary_conic: float
-    surfaces: tuple[Surface, ...]
-    stop_z: float
-    pupil_inner: float
-    pupil_outer: float
-    note: str = ""
-    wavelength: float = 550e-6
-    bodies: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
-    @property
-    def indices(self) -> Array:
-        """Refractive index behind each surface after M1 that refracts, shape (L,); NaN for the others.
+def with_segments(system: OpticalSystem, segments: Segments) -> OpticalSystem:
+    """Return the system with other segments."""
+    stop, primary, *after = system.surfaces
+    return replace(system, surfaces=(stop, replace(primary, segments=segments), *after))
 
-        Raises
-        ------
-        UserError
-            If a glass has no index at the wavelength.
-        """
-        index = [
-            refractive_index(one.medium, self.wavelength) if one.action == "refract" else np.nan  # type: ignore[arg-type]
-            for one in self.surfaces
-        ]
-        return np.array(index)
 
-    def __repr__(self) -> str:
-        count = counted(len(self.segments), "segment")
-        return f"<SegmentedTelescope {self.name}: {count}, {len(self.surfaces)} surfaces after M1>"
+def refractive_indices(system: OpticalSystem) -> Array:
+    """Return the index behind each surface after M1 that refracts, shape (L,); NaN for the others.
+
+    Raises
+    ------
+    UserError
+        If a glass has no index at the wavelength.
+    """
+    wavelength = wavelength_of(system)
+    index = [
+        refractive_index(one.medium, wavelength) if one.action == "refract" else np.nan  # type: ignore[arg-type]
+        for one in system.after_primary
+    ]
+    return np.array(index)
 
 
 @dataclass(frozen=True)
@@ -144,6 +158,7 @@ def sequential_surfaces(rows: Iterable[Row]) -> tuple[Surface, ...]:
                 "refract" if row.glass else "pass" if row is prescription[-1] else "reflect",
                 row.glass or AIR,
                 Opening(row.semi_diameter) if isfinite(row.semi_diameter) else None,
+                body=row.body,
             )
         )
         if row.glass is None:
@@ -153,18 +168,13 @@ def sequential_surfaces(rows: Iterable[Row]) -> tuple[Surface, ...]:
 
 def around_its_glass(
     name: str, segments: Segments, radius: float, conic: float, rows: Iterable[Row], note: str = ""
-) -> SegmentedTelescope:
+) -> OpticalSystem:
     """Assemble a telescope whose pupil is the annulus about its glass; the stop lies in its rim's plane."""
     inner = float(distance_from_origin(segments.corners).min())
     outer = max(hypot(x, y) for x, y in segments.corners.reshape(-1, 2))
     stop_z = float(conic_sag(outer, 0.0, 1.0 / radius, conic))
-    rows, bodies = list(rows), dict[str, tuple[int, ...]]()
-    for index, row in enumerate(rows):
-        if row.body:
-            bodies[row.body] = (*bodies.get(row.body, ()), index)
-    surfaces = sequential_surfaces(rows)
-    return SegmentedTelescope(
-        name, segments, radius, conic, surfaces, stop_z, inner, outer, note, bodies=bodies
+    return segmented_telescope(
+        name, segments, radius, conic, sequential_surfaces(rows), stop_z, inner, outer, note
     )
 
 
@@ -173,7 +183,7 @@ def _about_y(angle: float) -> Array:
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
-def surface_transforms(system: SegmentedTelescope) -> Array:
+def surface_transforms(system: OpticalSystem) -> Array:
     """Return the transforms (L, 12) from each surface's frame to the next in the reference configuration.
 
     A point p of the previous frame (first: the optics frame of M1) has the coordinates ``A p + o``: nine
@@ -181,7 +191,7 @@ def surface_transforms(system: SegmentedTelescope) -> Array:
     """
     transforms = []
     position, rotation = np.zeros(3), np.eye(3)
-    for surface in system.surfaces:
+    for surface in system.after_primary:
         inverse = surface.rotation.T
         shift = inverse @ (position - surface.position)
         transforms.append(np.concatenate([(inverse @ rotation).ravel(), shift]))
@@ -190,7 +200,7 @@ def surface_transforms(system: SegmentedTelescope) -> Array:
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def first_order(system: SegmentedTelescope) -> FirstOrder:
+def first_order(system: OpticalSystem) -> FirstOrder:
     """Trace a system paraxially from the stop plane to the image, and its marginal ray really.
 
     The paraxial trace follows the vertex ray, so folds by plane mirrors do not matter; the power of a curved
@@ -207,7 +217,7 @@ def first_order(system: SegmentedTelescope) -> FirstOrder:
     for distance, power in _unfolded(system):
         matrix = np.array([[1.0, 0.0], [-power, 1.0]]) @ np.array([[1.0, distance], [0.0, 1.0]]) @ matrix
     (height, stop_height), (slope, stop_slope) = matrix
-    infinite = 1e9 * abs(system.primary_radius)  # rounding leaves nothing exactly at infinity
+    infinite = 1e9 * abs(system.primary.shape.radius)  # rounding leaves nothing exactly at infinity
     if abs(slope) * infinite < 1.0:
         raise UserError(f"The telescope {system.name} is afocal; it must form an image.")
     pupil = stop_height / stop_slope if abs(stop_slope) * infinite > abs(stop_height) else np.inf
@@ -225,14 +235,14 @@ def first_order(system: SegmentedTelescope) -> FirstOrder:
     )
 
 
-def _unfolded(system: SegmentedTelescope) -> Iterator[tuple[float, float]]:
+def _unfolded(system: OpticalSystem) -> Iterator[tuple[float, float]]:
     """Yield the way to each surface from its predecessor over its index, and the power of the surface.
 
     The first way is that from the stop plane to M1.
     """
-    yield -system.stop_z, -2.0 / system.primary_radius
+    yield -system.stop_z, -2.0 / system.primary.shape.radius
     position, direction, before = np.zeros(3), -_AXIS, 1.0
-    for surface, index in zip(system.surfaces, system.indices, strict=True):
+    for surface, index in zip(system.after_primary, refractive_indices(system), strict=True):
         normal = surface.rotation[:, 2]
         way = float(direction @ (surface.position - position)) / before
         shape = surface.shape
@@ -248,28 +258,28 @@ def _unfolded(system: SegmentedTelescope) -> Iterator[tuple[float, float]]:
         position = surface.position
 
 
-def _marginal_sine(system: SegmentedTelescope) -> float:
+def _marginal_sine(system: OpticalSystem) -> float:
     """Return the sine of the angle between the real rays of the pupil's rim and center at the image."""
-    marginal, chief = (_final_direction(system, y) for y in (system.pupil_outer, 0.0))
+    marginal, chief = (_final_direction(system, y) for y in (system.annulus.outer, 0.0))
     if not np.isfinite(marginal).all():
         raise UserError(
-            f"The ray at the outer pupil radius of {system.pupil_outer:g} mm misses a surface "
+            f"The ray at the outer pupil radius of {system.annulus.outer:g} mm misses a surface "
             f"of {system.name}, or is totally reflected there; surfaces must reach out to it."
         )
     return float(np.linalg.norm(np.cross(marginal, chief)))
 
 
-def _final_direction(system: SegmentedTelescope, y: float) -> Array:
+def _final_direction(system: OpticalSystem, y: float) -> Array:
     """Return the direction at the image of the axial ray at height y; NaN if it misses a surface."""
     *_, (_, direction) = _axial_rays(system, np.array([[0.0], [y], [system.stop_z]]))
     return direction[:, 0]
 
 
-def rim_aberration(system: SegmentedTelescope) -> float:
+def rim_aberration(system: OpticalSystem) -> float:
     """Return how far apart the axial rays of the pupil's rim and center meet the image plane, mm."""
-    start = np.array([[0.0, 0.0], [system.pupil_outer, 0.0], [system.stop_z, system.stop_z]])
+    start = np.array([[0.0, 0.0], [system.annulus.outer, 0.0], [system.stop_z, system.stop_z]])
     *_, (hit, direction) = _axial_rays(system, start)
-    *others, image = system.surfaces
+    *others, image = system.after_primary
     point = others[-1].position[:, None] + others[-1].rotation @ hit if others else hit
     normal = image.rotation[:, 2]
     way = normal @ (image.position[:, None] - point) / (normal @ direction)
@@ -277,16 +287,15 @@ def rim_aberration(system: SegmentedTelescope) -> float:
     return float(np.linalg.norm(ends[:, 0] - ends[:, 1]))
 
 
-def _axial_rays(system: SegmentedTelescope, position: Array) -> Iterator[tuple[Array, Array]]:
+def _axial_rays(system: OpticalSystem, position: Array) -> Iterator[tuple[Array, Array]]:
     """Yield where axial rays (3, n) meet M1 and all after it but the image, and their directions then.
 
     Points are in the frame of the surface, directions in that of the optics.
     """
     direction = np.broadcast_to(_AXIS[:, None], position.shape)
-    primary = Surface("M1", Conic(system.primary_radius, system.primary_conic), action="reflect")
     before = 1.0
-    surfaces = (primary, *system.surfaces[:-1])
-    for surface, index in zip(surfaces, (np.nan, *system.indices[:-1]), strict=True):
+    surfaces = (system.primary, *system.after_primary[:-1])
+    for surface, index in zip(surfaces, (np.nan, *refractive_indices(system)[:-1]), strict=True):
         frame = surface.rotation
         local, along = frame.T @ (position - surface.position[:, None]), frame.T @ direction
         hit, slope_x, slope_y = _met(surface.shape, local, along)
@@ -313,13 +322,23 @@ def _met(shape: Shape, position: Array, direction: Array) -> tuple[Array, Array,
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def footprints(system: SegmentedTelescope) -> Array:
+def footprints(system: OpticalSystem) -> Array:
     """Return the radii (L - 1,) of the axial beam on the surfaces between M1 and image, from each vertex, mm.
 
     That is where the light of the rim of the pupil arrives; on a fold, its farthest point. NaN where that
     light misses a surface.
     """
     azimuth = 2.0 * np.pi * np.arange(64) / 64
-    rim = system.pupil_outer
+    rim = system.annulus.outer
     start = np.stack([rim * np.cos(azimuth), rim * np.sin(azimuth), np.full(64, system.stop_z)])
     return np.array([np.hypot(hit[0], hit[1]).max() for hit, _ in _axial_rays(system, start)][1:])
+
+
+def with_figures(system: OpticalSystem, segment_terms: int, mirror_terms: int) -> OpticalSystem:
+    """Return the system whose segments, and whose mirrors after M1 over their footprints, can deform."""
+    segments = replace(system.segments, figure_terms=segment_terms)
+    stop, primary, *others, image = system.surfaces
+    radii = footprints(system) if mirror_terms else np.zeros(len(others))
+    forms = [ZernikeDeformation(mirror_terms, float(radius)) if mirror_terms else None for radius in radii]
+    bent = [replace(one, deformation=form) for one, form in zip(others, forms, strict=True)]
+    return replace(system, surfaces=(stop, replace(primary, segments=segments), *bent, image))

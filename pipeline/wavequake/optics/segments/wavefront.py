@@ -19,7 +19,7 @@ from wavequake.kernels.trace.status import OK
 from wavequake.kernels.trace.train import vignetted
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.segments.slopes import wavefront_from_slopes
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.fits import fit_tile, segment_planes
 from wavequake.optics.wavefronts.record import Wavefront
 
@@ -151,6 +151,6 @@ def _refit_segments(
     return np.where(solved[:, None], np.stack(parts, axis=1), np.nan), ~solved
 
 
-def measure(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> Wavefront:
+def measure(prepared: PreparedTrace, states: States, device: Device) -> Wavefront:
     """Trace a batch of instants and reduce it to its wavefronts: `trace_states`, then `analyse`."""
     return analyse(prepared, trace_states(prepared, states, device), chief_rays(prepared, states), device)

@@ -17,7 +17,7 @@ from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.segments.kinematics import cardan, cardan_angles
 from wavequake.optics.systems.kinematics import motion_about, rest_poses, rest_states
-from wavequake.optics.systems.system import OpticalSystem, SystemStates, wavelength_of
+from wavequake.optics.systems.system import OpticalSystem, States, wavelength_of
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def with_bodies(system: OpticalSystem, own: Array, bodies: Sequence[tuple[Body, 
     Returns
     -------
     ndarray, shape (T, L, 6)
-        As ``SystemStates.surface_motion``; exact for large motions.
+        As ``States.surface_motion``; exact for large motions.
     """
     position, rotation = rest_poses(system)
     motion = own.copy()
@@ -138,7 +138,7 @@ def beam_radii(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
     return _reach(system, surfaces)[:, 2]
 
 
-def beam_extents(system: OpticalSystem, surfaces: Sequence[int], states: SystemStates | None = None) -> Array:
+def beam_extents(system: OpticalSystem, surfaces: Sequence[int], states: States | None = None) -> Array:
     """Return the largest |x| and |y| (len(surfaces), 2) of the beams of all fields, mm; as `beam_radii`.
 
     Of light that is aimed at rest, by default also at rest, or in `states` of the system.
@@ -146,7 +146,7 @@ def beam_extents(system: OpticalSystem, surfaces: Sequence[int], states: SystemS
     return _reach(system, surfaces, states)[:, :2]
 
 
-def _reach(system: OpticalSystem, surfaces: Sequence[int], states: SystemStates | None = None) -> Array:
+def _reach(system: OpticalSystem, surfaces: Sequence[int], states: States | None = None) -> Array:
     """Return the largest |x|, |y| and distance from the vertex (len(surfaces), 3); raises as `beam_radii`."""
     wavelength = wavelength_of(system)
     if not surfaces:

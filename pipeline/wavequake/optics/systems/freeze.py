@@ -25,12 +25,12 @@ from wavequake.optics.shapes.shapes import (
 from wavequake.optics.systems.bodies import beam_extents
 from wavequake.optics.systems.kinematics import at_instant, moved_poses
 from wavequake.optics.systems.on_grid import on_grid
-from wavequake.optics.systems.system import OpticalSystem, Surface, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, States, Surface
 
 Array = NDArray[np.float64]
 
 
-def frozen(system: OpticalSystem, states: SystemStates, instant: int = 0) -> OpticalSystem:
+def frozen(system: OpticalSystem, states: States, instant: int = 0) -> OpticalSystem:
     """Return the system at an instant, with nothing left that moves or deforms.
 
     The light of a near object that turns is the system that turns the other way.

@@ -4,7 +4,7 @@ A pose is a position (3,) and a rotation (3, 3). Absolute poses are given in the
 in the frame of the previous surface (Störkle 2018, section 4.2.1).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,7 +14,7 @@ from wavequake.errors import UserError
 from wavequake.optics.checks import all_within, array, require_fields, require_kind, whole
 from wavequake.optics.media.glasses import AIR, Medium
 from wavequake.optics.media.gradients import GradientIndex
-from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.segments.kinematics import cardan, displaced
 from wavequake.optics.shapes.phases import Effect
 from wavequake.optics.shapes.shapes import (
     Conic,
@@ -24,7 +24,7 @@ from wavequake.optics.shapes.shapes import (
     SurfaceAction,
     ZernikeDeformation,
 )
-from wavequake.optics.systems.system import LARGEST, OpticalSystem, Surface, SystemStates
+from wavequake.optics.systems.system import LARGEST, OpticalSystem, States, Surface
 
 Array = NDArray[np.float64]
 
@@ -185,8 +185,7 @@ def moved_poses(system: OpticalSystem, motion: Array) -> tuple[Array, Array]:
         If the motion has the wrong shape or is not finite.
     """
     require_motion(system, motion)
-    position, rotation = rest_poses(system)
-    return position + (rotation @ motion[..., :3, None])[..., 0], rotation @ cardan(motion[..., 3:])
+    return displaced(*rest_poses(system), motion)
 
 
 def motion_about(point: Array, rotation: Array) -> Array:
@@ -223,7 +222,7 @@ def require_motion(system: OpticalSystem, motion: Array) -> None:
     )
 
 
-def rest_states(system: OpticalSystem, instants: int = 1) -> SystemStates:
+def rest_states(system: OpticalSystem, instants: int = 1) -> States:
     """Return the states of a system in which nothing moves or deforms, writable arrays of zeros.
 
     Raises
@@ -234,21 +233,35 @@ def rest_states(system: OpticalSystem, instants: int = 1) -> SystemStates:
     require_kind(system, OpticalSystem, "the system")
     if whole(instants, "the number of instants") < 0:
         raise UserError(f"the number of instants is {instants}; it must be at least 0")
-    return SystemStates(
+    segments = None if system.segmented is None else system.segments
+    count, terms = (0, 0) if segments is None else (len(segments), segments.figure_terms)
+    return States(
         surface_motion=np.zeros((instants, len(system.surfaces), 6)),
         deformations=tuple(_no_deformation(surface.deformation, instants) for surface in system.surfaces),
         line_of_sight=np.zeros((instants, 2)),
+        segment_motion=np.zeros((instants, count, 6)),
+        segment_figure=np.zeros((instants, count, terms)),
     )
 
 
-def at_instant(states: SystemStates, instant: int) -> SystemStates:
+def at_instant(states: States, instant: int) -> States:
     """Return the states of one instant alone."""
-    part = slice(instant, instant + 1)
-    return SystemStates(
-        states.surface_motion[part],
-        tuple(None if form is None else form[part] for form in states.deformations),
-        states.line_of_sight[part],
-    )
+    return _each(lambda one: one[instant : instant + 1], states)
+
+
+def joined(parts: Sequence[States]) -> States:
+    """Return the states of parts of a case, one after the other."""
+    return _each(lambda *one: np.concatenate(one), *parts)
+
+
+def _each(change: Callable[..., Array], *parts: States) -> States:
+    """Return states of which each array is what becomes of the same array of the given ones."""
+    arrays = {
+        name: change(*(getattr(one, name) for one in parts))
+        for name in ("surface_motion", "line_of_sight", "segment_motion", "segment_figure")
+    }
+    forms = zip(*(one.deformations for one in parts), strict=True)
+    return States(deformations=tuple(None if one[0] is None else change(*one) for one in forms), **arrays)
 
 
 def _no_deformation(deformation: Deformation | None, instants: int) -> Array | None:

@@ -15,6 +15,7 @@ from wavequake.errors import UserError
 from wavequake.optics.checks import number, require_fields, require_kind
 from wavequake.optics.media.glasses import AIR, Medium
 from wavequake.optics.media.gradients import GradientIndex, require_gradient
+from wavequake.optics.segments.layout import Segments
 from wavequake.optics.shapes.phases import Effect, PerfectLens, require_effect
 from wavequake.optics.shapes.sag import require_shape
 from wavequake.optics.shapes.shapes import (
@@ -38,7 +39,8 @@ class Surface:
 
     ``rotation`` turns the surface's frame into the system's. ``medium`` follows a refracting surface; one
     with a gradient starts at its vertex and moves with it. A ``phase`` diffracts or focuses light, whatever
-    the action is.
+    the action is. A mirror may carry ``segments``, which move by themselves; ``body`` names what it
+    moves with.
     """
 
     name: str
@@ -50,6 +52,8 @@ class Surface:
     opening: Opening | None = None
     deformation: Deformation | None = None
     phase: Effect | None = None
+    segments: Segments | None = None
+    body: str = ""
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,49 @@ class OpticalSystem:
             counted(len(self.wavelengths), "wavelength"),
         )
         return f"<OpticalSystem {self.name}: {', '.join(parts)}>"
+
+    @property
+    def segmented(self) -> int | None:
+        """Index of the surface that carries segments, if there is one."""
+        return next((place for place, one in enumerate(self.surfaces) if one.segments is not None), None)
+
+    @property
+    def primary(self) -> Surface:
+        """The surface that carries segments, M1; UserError if there is none."""
+        if self.segmented is None:
+            raise UserError(f"no surface of {self.name} carries segments, as M1 of telescope('tmt') does")
+        return self.surfaces[self.segmented]
+
+    @property
+    def segments(self) -> Segments:
+        """Those of M1; raises as `primary`."""
+        segments = self.primary.segments
+        assert segments is not None
+        return segments
+
+    @property
+    def after_primary(self) -> tuple[Surface, ...]:
+        """M2, M3, ... and the image; all where no surface carries segments."""
+        return self.surfaces[0 if self.segmented is None else self.segmented + 1 :]
+
+    @property
+    def annulus(self) -> Opening:
+        """The opening of the stop; UserError if it has none."""
+        opening = self.surfaces[self.stop].opening
+        if opening is None:
+            raise UserError(f"the stop of {self.name} has no opening; a pupil's annulus needs one")
+        return opening
+
+    @property
+    def stop_z(self) -> float:
+        """Where on the z axis the stop stands, mm."""
+        return float(self.surfaces[self.stop].position[2])
+
+    @property
+    def bodies(self) -> dict[str, tuple[str, ...]]:
+        """Surfaces that can move together, such as the faces of a lens, by the name of what they are."""
+        names = dict.fromkeys(one.body for one in self.surfaces if one.body)
+        return {name: tuple(one.name for one in self.surfaces if one.body == name) for name in names}
 
 
 def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> float:
@@ -276,8 +323,8 @@ def _require_deformation(where: str, form: Deformation | None) -> None:
 
 
 @dataclass(frozen=True)
-class SystemStates:
-    """What moves and deforms at T instants.
+class States:
+    """What moves and deforms at T instants; zeros are the system at rest.
 
     Attributes
     ----------
@@ -289,8 +336,19 @@ class SystemStates:
         (T, rows, columns) grid heights; mm, along the surface's z.
     line_of_sight : ndarray, shape (T, 2)
         Rotation of the whole incoming bundle, as an angle on the sky along x and y, rad.
+    segment_motion : ndarray, shape (T, S, 6)
+        The same of each segment in its local frame (dz along the normal that points to the sky), about its
+        center.
+    segment_figure : ndarray, shape (T, S, terms)
+        Circular Noll coefficients, j = 1 and up, over each segment's circumscribed circle in its local frame;
+        mm, positive towards the sky.
     """
 
     surface_motion: Array
     deformations: tuple[Array | None, ...]
     line_of_sight: Array
+    segment_motion: Array = field(default_factory=lambda: np.zeros((0, 0, 6)))
+    segment_figure: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+    def __len__(self) -> int:
+        return len(self.line_of_sight)

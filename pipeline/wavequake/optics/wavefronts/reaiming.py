@@ -19,7 +19,7 @@ from wavequake.optics.rays.packing import moving
 from wavequake.optics.rays.stop_following import meet_stop
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
-from wavequake.optics.systems.system import SystemStates
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.wavefront import (
     PreparedSystem,
     Traced,
@@ -80,7 +80,7 @@ def stop_slopes(prepared: PreparedSystem) -> StopSlopes:
     return StopSlopes(met, -slopes[:, 0] / prepared.wavelength, np.moveaxis(slopes[:, 1:], 0, 1))
 
 
-def trace_aimed(prepared: PreparedSystem, slopes: StopSlopes, states: SystemStates, device: Device) -> Traced:
+def trace_aimed(prepared: PreparedSystem, slopes: StopSlopes, states: States, device: Device) -> Traced:
     """Trace rays that meet their points of the stop where that is, to first order; as `trace_system`."""
     light = incoming_light(prepared, states, device)
     opd, traced, chief = trace_light(prepared, light, device)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavequake.kernels.device.tiles import TILE
 from wavequake.optics.segments.prepared import PreparedTrace
 from wavequake.optics.segments.slopes import sphere_points
-from wavequake.optics.segments.states import rest
+from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.fits import MORE_SEGMENT_RAYS, Fit, weighted_fit
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ def _least_squares(design: Array, values: Array) -> tuple[Array, NDArray[np.bool
     return np.linalg.solve(r, right[..., None])[..., 0], solved
 
 
-def reference_fit(prepared: PreparedTrace, field: tuple[float, float] = (0.0, 0.0)) -> Fit:
+def reference_fit(prepared: PreparedTrace) -> Fit:
     """Return the fit that finds the image point of a wavefront's best-fit sphere from its OPD.
 
     Moving the center of the reference sphere by a small d changes the OPD by -n d, with n the unit vector
@@ -118,9 +118,6 @@ def reference_fit(prepared: PreparedTrace, field: tuple[float, float] = (0.0, 0.
     Parameters
     ----------
     prepared : PreparedTrace
-    field : tuple of float
-        Direction of the light (as in `SurfaceStates.field`, rad) at which the rays' points on the sphere are
-        taken.
 
     Returns
     -------
@@ -133,9 +130,7 @@ def reference_fit(prepared: PreparedTrace, field: tuple[float, float] = (0.0, 0.
     UserError
         If a ray does not reach the image, or the rays determine no sphere.
     """
-    states = rest(TILE, len(prepared.system.segments), len(prepared.system.surfaces))
-    states.field[:] = field
-    points = sphere_points(prepared, states)[2]
+    points = sphere_points(prepared, rest_states(prepared.system, TILE))[2]
     toward = -points / prepared.train.sphere_radius
     chief, aperture = np.zeros(2), prepared.numerical_aperture
     return sphere_basis_fit(toward, chief, aperture, prepared.weight, MORE_SEGMENT_RAYS)

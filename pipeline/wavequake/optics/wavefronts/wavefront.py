@@ -31,7 +31,7 @@ from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.systems.image_aperture import image_cosines, image_index, require_flat_image
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
-from wavequake.optics.systems.system import OpticalSystem, SystemStates, wavelength_of
+from wavequake.optics.systems.system import OpticalSystem, States, wavelength_of
 from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
 from wavequake.optics.wavefronts.record import Wavefront, joined
 from wavequake.optics.wavefronts.reference_sphere import sphere_radius
@@ -229,14 +229,12 @@ def _sphere_points(prepared: PreparedSystem, x: Array, y: Array) -> tuple[Array,
     return distance[0], points[:, 0]
 
 
-def incoming_light(prepared: PreparedSystem, states: SystemStates, device: Device = NUMPY) -> Moving:
+def incoming_light(prepared: PreparedSystem, states: States, device: Device = NUMPY) -> Moving:
     """Return what moves, with light that fills the stop where it stands at each instant."""
     return incoming_lights(prepared, [states], [moving(prepared.system, states, device=device)])[0]
 
 
-def incoming_lights(
-    prepared: PreparedSystem, states: list[SystemStates], lights: list[Moving]
-) -> list[Moving]:
+def incoming_lights(prepared: PreparedSystem, states: list[States], lights: list[Moving]) -> list[Moving]:
     """Return what moves in several cases (`moving`), each with light that fills the stop where it stands."""
     goes = [not stays(prepared.system, prepared.chief, one) for one in states]
     chosen = list(compress(lights, goes))
@@ -255,7 +253,7 @@ def chief_points(prepared: PreparedSystem, light: Moving) -> tuple[Array, Array]
     return np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1), path
 
 
-def trace_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> Traced:
+def trace_system(prepared: PreparedSystem, states: States, device: Device) -> Traced:
     """Trace all rays at all instants; returns as `trace_light`."""
     return trace_light(prepared, incoming_light(prepared, states, device), device)
 
@@ -302,7 +300,7 @@ def _outputs(prepared: PreparedSystem) -> tuple[str, ...]:
     return OUTPUTS if prepared.slopes is not None else OUTPUTS[:3]  # directions take a tenth of the time
 
 
-def measure_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> Wavefront:
+def measure_system(prepared: PreparedSystem, states: States, device: Device) -> Wavefront:
     """Trace a batch of instants and reduce it to its wavefronts, those of one launch at a time.
 
     Raises

@@ -1,7 +1,7 @@
 """How the optical system of a stored case moves and deforms over time, by the kind of its study."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,10 @@ from wavequake.kernels.device.devices import NUMPY
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import respond
 from wavequake.optics.segments.alone import segment_systems
-from wavequake.optics.segments.states import SurfaceStates
-from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.shapes.fit import residual_grid
 from wavequake.optics.shapes.motion_fit import figures, motion_fit
-from wavequake.optics.systems.kinematics import rest_states
-from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.systems.kinematics import joined, rest_states
+from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of
 from wavequake.workflows.exposures.telescope_exposure import controlled_blocks, scaled_draw
 from wavequake.workflows.loops import system_loop, telescope_bench, telescope_light, telescope_loop
@@ -35,7 +33,6 @@ from wavequake.workflows.systems.bench import system_bench, system_states
 from wavequake.workflows.systems.draws import draw
 
 _ARCMIN = np.pi / 180.0 / 60.0
-_FIELDS = fields(SurfaceStates)
 
 
 def telescopes(store: Path) -> bool:
@@ -43,7 +40,7 @@ def telescopes(store: Path) -> bool:
     return read_manifest(store).workflow in _SEGMENTED
 
 
-def disturbed(store: Path, case: int, under: str = "") -> tuple[OpticalSystem, SystemStates]:
+def disturbed(store: Path, case: int, under: str = "") -> tuple[OpticalSystem, States]:
     """Return the system of a store and how it moves and deforms in a case.
 
     Raises
@@ -94,21 +91,21 @@ def _named(under: str, names: Sequence[str], what: str) -> int:
     raise UserError(f"Say by --under which {what} of the case is meant: {known}.")
 
 
-def _of_system(study: str, case: int, under: str) -> tuple[OpticalSystem, SystemStates]:
+def _of_system(study: str, case: int, under: str) -> tuple[OpticalSystem, States]:
     bench = system_bench(study)
     if under:
         raise UserError("A case of this store has no controllers or excitations; leave --under out.")
     return bench.system, system_states(bench, draw(bench, case)[1])
 
 
-def _of_loop(study: str, case: int, under: str) -> tuple[OpticalSystem, SystemStates]:
+def _of_loop(study: str, case: int, under: str) -> tuple[OpticalSystem, States]:
     bench = system_loop.bench_of(study_from_identity(SystemLoopStudy, study))
     one = bench.controllers[_named(under, [each.name for each in bench.controllers], "controller")]
     system = bench.optics.bench
     return system.system, system_states(system, system_loop.motion_left(bench, one, case))
 
 
-def _of_mirror(text: str, case: int, under: str) -> tuple[OpticalSystem, SystemStates]:
+def _of_mirror(text: str, case: int, under: str) -> tuple[OpticalSystem, States]:
     """Return the figure of an excited mirror as it is traced: polynomials, and on a grid what they leave."""
     study = mirrors.trace_study_of(text)
     excitation = study.excitation[_named(under, [one.name for one in study.excitation], "excitation")]
@@ -127,7 +124,7 @@ def _of_mirror(text: str, case: int, under: str) -> tuple[OpticalSystem, SystemS
     return system, replace(rest_states(system, len(numbers)), deformations=(numbers, None))
 
 
-_SYSTEMS: dict[str, Callable[[str, int, str], tuple[OpticalSystem, SystemStates]]] = {
+_SYSTEMS: dict[str, Callable[[str, int, str], tuple[OpticalSystem, States]]] = {
     "system-disturbance": _of_system,
     "system-loop": _of_loop,
     "mirror-trace": _of_mirror,
@@ -138,8 +135,8 @@ _SYSTEMS: dict[str, Callable[[str, int, str], tuple[OpticalSystem, SystemStates]
 class _Segmented:
     """How a telescope moves in a case, as `segment_systems` takes it, and at how many instants."""
 
-    telescope: SegmentedTelescope
-    states: SurfaceStates
+    telescope: OpticalSystem
+    states: States
     instants: int
     wavelengths: Sequence[float]
     beside: Sequence[tuple[float, float]] = ((0.0, 0.0),)
@@ -153,16 +150,15 @@ def _of_segments(text: str, case: int, under: str) -> _Segmented:
     count, (first_x, first_y) = len(drawn.time), optics.points_arcmin[0]
     beside = [(_ARCMIN * (x - first_x), _ARCMIN * (y - first_y)) for x, y in optics.points_arcmin]
     colors = [1e-6 * color for color in optics.colors_nm]
-    return _Segmented(bench.system, surface_states(bench, drawn, 0, count), count, colors, beside)
+    return _Segmented(bench.prepared.system, surface_states(bench, drawn, 0, count), count, colors, beside)
 
 
 def _of_exposure(text: str, case: int, under: str) -> _Segmented:
     control = control_bench_of(text)
     controller = CONTROLLERS[_named(under, CONTROLLERS, "controller")]
     drawn = scaled_draw(control, case)
-    blocks = [one for _, one in controlled_blocks(control, drawn, NUMPY, controller)]
-    states = SurfaceStates(*(np.concatenate([getattr(one, key.name) for one in blocks]) for key in _FIELDS))
-    return _Segmented(control.bench.system, states, len(drawn.time), [control.prepared.wavelength])
+    states = joined([one for _, one in controlled_blocks(control, drawn, NUMPY, controller)])
+    return _Segmented(control.prepared.system, states, len(drawn.time), [control.prepared.wavelength])
 
 
 def _of_telescope(text: str, case: int, under: str) -> _Segmented:
@@ -177,7 +173,7 @@ def _of_telescope(text: str, case: int, under: str) -> _Segmented:
     count = len(positions[0])
     states = telescope_loop.states_of(bench, one, drawn, positions[0], np.arange(count))
     control = bench.optics.control
-    return _Segmented(control.bench.system, states, count, [control.prepared.wavelength])
+    return _Segmented(control.prepared.system, states, count, [control.prepared.wavelength])
 
 
 _SEGMENTED: dict[str, Callable[[str, int, str], _Segmented]] = {

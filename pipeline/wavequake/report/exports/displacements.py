@@ -13,7 +13,7 @@ from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.shapes.shapes import GridDeformation, GridSag, ZernikeDeformation, ZernikeSag
 from wavequake.optics.systems.bodies import beam_radii
 from wavequake.optics.systems.kinematics import moved_poses
-from wavequake.optics.systems.system import OpticalSystem, Surface, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, States, Surface
 from wavequake.report.exports.case_states import disturbed
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def export_displacements(
     return tuple(file.resolve() for file in files.values())
 
 
-def displacements(system: OpticalSystem, states: SystemStates, instant: int) -> Iterator[tuple[int, Array]]:
+def displacements(system: OpticalSystem, states: States, instant: int) -> Iterator[tuple[int, Array]]:
     """Yield each surface that moves or deforms, by index: rows x y z dx dy dz (p, 6) in its frame, mm."""
     position, rotation = moved_poses(system, states.surface_motion[instant : instant + 1])
     figures = [None if one is None or not one[instant].any() else one[instant] for one in states.deformations]

@@ -139,10 +139,10 @@ def _pupil(shown: xr.Dataset) -> Mask:
     """Return which part of the pupil is glass."""
     study = study_from_identity(TelescopeExposureStudy, str(shown.attrs["study"]))
     system = build_telescope(study)
-    round_one = annulus(system.pupil_inner / system.pupil_outer)
+    round_one = annulus(system.annulus.inner / system.annulus.outer)
     if is_monolithic(system.segments):
         return round_one
-    glass = polygons(system.segments.corners, system.pupil_outer)
+    glass = polygons(system.segments.corners, system.annulus.outer)
     return glass if study.optics.sampling == "segments" else glass & round_one
 
 

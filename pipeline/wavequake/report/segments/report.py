@@ -109,7 +109,7 @@ def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset, pl
         ray_segment=rays.segment,
         opd=opd * 1e6,
         spot=(np.stack([x, y], axis=-1) - bench.static.chief[0]) * to_mas,
-        airy_mas=1.22 * bench.prepared.wavelength / (2.0 * bench.system.pupil_outer) * MAS_PER_RAD,
+        airy_mas=1.22 * bench.prepared.wavelength / (2.0 * bench.system.annulus.outer) * MAS_PER_RAD,
         image=dataset["exposure"].sel(case=[case]).to_numpy()[0] if images else np.zeros((0, 0)),
         image_x=dataset["x"].to_numpy() if images else np.zeros(0),
         image_y=dataset["y"].to_numpy() if images else np.zeros(0),

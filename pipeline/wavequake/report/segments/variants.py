@@ -197,7 +197,7 @@ def _detail(
         ray_segment=rays.segment,
         opd=opd[None] * 1e6,
         spot=spot[None] * MAS_PER_RAD / bench.first_order.focal_length,
-        airy_mas=1.22 * bench.prepared.wavelength / (2.0 * bench.system.pupil_outer) * MAS_PER_RAD,
+        airy_mas=1.22 * bench.prepared.wavelength / (2.0 * bench.system.annulus.outer) * MAS_PER_RAD,
         image=np.zeros((0, 0)),  # nothing here shows it
         image_x=np.zeros(0),
         image_y=np.zeros(0),

@@ -17,7 +17,7 @@ from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.layout import Carried
 from wavequake.optics.segments.kinematics import carried_segments
 from wavequake.optics.segments.parent import parent_system
-from wavequake.optics.segments.telescope import SegmentedTelescope, footprints
+from wavequake.optics.segments.telescope import footprints
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.bodies import Body as OpticalBody
 from wavequake.optics.systems.bodies import rigid_body
@@ -48,7 +48,7 @@ class CarryingBodies:
     optical: tuple[OpticalBody, ...] = ()
 
 
-def carrying_bodies(masses: Masses, system: SegmentedTelescope) -> CarryingBodies:
+def carrying_bodies(masses: Masses, system: OpticalSystem) -> CarryingBodies:
     """Return the bodies of a telescope.
 
     Raises
@@ -77,12 +77,12 @@ def carrying_bodies(masses: Masses, system: SegmentedTelescope) -> CarryingBodie
     return CarryingBodies(plants, carried, tuple(optical))
 
 
-def _names(system: SegmentedTelescope) -> tuple[str, ...]:
-    others = (*system.bodies, *(surface.name for surface in system.surfaces))
+def _names(system: OpticalSystem) -> tuple[str, ...]:
+    others = (*system.bodies, *(surface.name for surface in system.after_primary))
     return tuple(dict.fromkeys((PRIMARY, *system.segments.names, *others)))
 
 
-def _require_names(bodies: Sequence[BodySection], system: SegmentedTelescope) -> None:
+def _require_names(bodies: Sequence[BodySection], system: OpticalSystem) -> None:
     taken = set(_names(system))
     for one in bodies:
         if one.name in taken:
@@ -93,10 +93,10 @@ def _require_names(bodies: Sequence[BodySection], system: SegmentedTelescope) ->
         taken.add(one.name)
 
 
-def _elements(one: BodySection, patterns: Iterable[str], system: SegmentedTelescope) -> tuple[str, ...]:
+def _elements(one: BodySection, patterns: Iterable[str], system: OpticalSystem) -> tuple[str, ...]:
     """Return the segments and surfaces that patterns name; ``*`` and ``?`` stand for any letters."""
     names, segments = _names(system), system.segments.names
-    surfaces = [surface.name for surface in system.surfaces]
+    surfaces = [surface.name for surface in system.after_primary]
     found: list[str] = []
     for pattern in patterns:
         matching = [pattern] if pattern in names else fnmatch.filter((*segments, *surfaces), pattern)
@@ -111,13 +111,13 @@ def _elements(one: BodySection, patterns: Iterable[str], system: SegmentedTelesc
             if name == PRIMARY:
                 found += segments
             elif name in system.bodies:
-                found += [surfaces[index] for index in system.bodies[name]]
+                found += system.bodies[name]
             else:
                 found.append(name)
     return tuple(dict.fromkeys(found))
 
 
-def _held(one: BodySection, system: SegmentedTelescope) -> dict[str, tuple[Held, tuple[str, ...]]]:
+def _held(one: BodySection, system: OpticalSystem) -> dict[str, tuple[Held, tuple[str, ...]]]:
     """Return the nodes of a body that carry elements, and these; ``{}`` in a node is an element's name."""
     found: dict[str, tuple[Held, tuple[str, ...]]] = {}
     for pattern, nodes in one.carries.items():
@@ -155,7 +155,7 @@ def _of_parent(
     one: BodySection,
     direct: Sequence[str],
     held: Mapping[str, tuple[Held, tuple[str, ...]]],
-    system: SegmentedTelescope,
+    system: OpticalSystem,
 ) -> BodySection:
     """Return a body whose surfaces are those of the parent, and whose nodes carry frames of their own."""
     segments = set(system.segments.names)
@@ -176,9 +176,7 @@ def _require_rigid_primary(one: BodySection) -> None:
         )
 
 
-def _deforming(
-    bodies: Sequence[BodySection], parent: OpticalSystem, system: SegmentedTelescope
-) -> OpticalSystem:
+def _deforming(bodies: Sequence[BodySection], parent: OpticalSystem, system: OpticalSystem) -> OpticalSystem:
     """Return the parent in which mirrors deform over the axial beam's footprint, as in the telescope."""
     surfaces, radii = list(parent.surfaces), footprints(system)
     for index, terms in deforming_terms(bodies, parent).items():
@@ -195,12 +193,12 @@ def _at_origin(body: OpticalBody) -> Array:
     return transported(axes, body.point / MM_PER_M, np.eye(3), _ORIGIN)
 
 
-def _follow(elements: Sequence[str], system: SegmentedTelescope, at_origin: Array) -> Carried:
+def _follow(elements: Sequence[str], system: OpticalSystem, at_origin: Array) -> Carried:
     """Return how elements move, of which motion (6, 6) at M1's vertex each is, SI units."""
     segments = np.moveaxis(carried_segments(system.segments), 0, 2)  # (S, 6, 6), mm and rad
     segments = segments / _LENGTHS[:, None] * _LENGTHS
     place = {name: index for index, name in enumerate(system.segments.names)}
-    surfaces = {surface.name: surface for surface in system.surfaces}
+    surfaces = {surface.name: surface for surface in system.after_primary}
     rows = [
         segments[place[name]]
         if name in place

@@ -87,7 +87,10 @@ def _loads(one: Actuator, bench: Bench, light: Light, plant: Plant, rows: dict[s
         turned = [np.kron(np.eye(2), surface.rotation) for surface in (surfaces[0], surfaces[-1])]
         names = (surfaces[0].name, surfaces[-1].name)
         at = np.mean([turn @ rows[name] for turn, name in zip(turned, names, strict=True)], axis=0)
-        motion = np.mean([states.surface_motion[:, end] for end in ends], axis=0) * _SI
+        motion = np.mean(
+            [states.surface_motion[:, end] @ turn.T for end, turn in zip(ends, turned, strict=True)], axis=0
+        )
+        motion = motion * _SI
         found.append(at.T @ mass @ motion.T)
     elif len(moved):
         lost = next(surface.name for surface in surfaces if surface.name not in rows)
@@ -159,8 +162,7 @@ def movable_bodies(bench: Bench) -> dict[str, Array]:
             continue
         found[body.name] = np.zeros((6, len(places), 6))
         for name, follows in zip(one.names, one.follows, strict=True):
-            turned = np.kron(np.eye(2), bench.system.surfaces[places[name]].rotation) @ follows
-            found[body.name][:, places[name]] = (turned / _SI[:, None] * _SI).T
+            found[body.name][:, places[name]] = (follows / _SI[:, None] * _SI).T
     return found
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.systems.system import OpticalSystem
 from wavequake.workflows.bodies.plants import Masses, compared_bodies, elastic_names
 from wavequake.workflows.bodies.sections import StructureSection
 from wavequake.workflows.bodies.segments import CarryingBodies
@@ -48,7 +48,7 @@ def _compared(study: SegmentStudy) -> tuple[str, ...]:
     return compared_bodies(study.reduction.of, elastic)
 
 
-def elastic_segments(study: SegmentStudy, system: SegmentedTelescope) -> dict[str, Plant]:
+def elastic_segments(study: SegmentStudy, system: OpticalSystem) -> dict[str, Plant]:
     """Return what stands for every segment of a study, by the models that it compares, if they are elastic.
 
     Without a comparison the model that the study takes is called full.

@@ -18,9 +18,11 @@ from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import TILE, from_tiles, padded
 from wavequake.kernels.trace.train import Traced
 from wavequake.optics.derivatives.central import SIGNS, checked_derivative
-from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
-from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.prepared import PreparedTrace, at_field, chief_rays, prepare, trace_states
+from wavequake.optics.segments.telescope import M2
 from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
@@ -79,7 +81,7 @@ class ControlBench:
     @property
     def diameter(self) -> float:
         """Of the pupil, mm."""
-        return 2.0 * self.bench.system.pupil_outer
+        return 2.0 * self.bench.system.annulus.outer
 
     @property
     def tilt_per_mm(self) -> float:
@@ -117,7 +119,7 @@ def imaged_bench_of(study_text: str) -> ControlBench:
         study = study_from_identity(TelescopeExposureStudy, study_text)
         bench = bench_of(segment_text(study_text))
         system, old = bench.system, bench.prepared
-        if len(system.surfaces) < 2 or system.surfaces[0].action != "reflect":
+        if len(system.after_primary) < 2 or system.after_primary[0].action != "reflect":
             raise UserError(f"the telescope {system.name} has no mirror M2 that could correct its image")
         terms = max(study.figure_terms, bench.mirror_terms)
         prepared = prepare(
@@ -130,7 +132,8 @@ def imaged_bench_of(study_text: str) -> ControlBench:
         )
         # Edges that the beam clears are not looked at.
         train = replace(prepared.train, semi_diameters=old.train.semi_diameters)
-        bench = replace(bench, prepared=replace(prepared, train=train), mirror_terms=terms)
+        prepared = at_field(replace(prepared, train=train), bench.field)
+        bench = replace(bench, prepared=prepared, mirror_terms=terms)
         rays = prepared.rays
         basis = ray_basis(
             rays.x,
@@ -138,13 +141,11 @@ def imaged_bench_of(study_text: str) -> ControlBench:
             prepared.weight,
             CANVAS * study.imaging.pixels,
             study.imaging.sampling,
-            2.0 * system.pupil_outer,
+            2.0 * system.annulus.outer,
         )
         basis = replace(basis, peak=basis.peak * bench.stopped.light)
-        still = rest(TILE, len(system.segments), len(system.surfaces), bench.figure_terms, terms)
-        traced, static = trace(
-            bench.prepared, replace(still, field=still.field + bench.field), choose_device("numpy")
-        )
+        still = rest_states(bench.prepared.system, TILE)
+        traced, static = trace(bench.prepared, still, choose_device("numpy"))
         none = np.zeros((0, 0))
         control = ControlBench(study, bench, static, none, basis, none, none, _area(study, bench))
         if lost := bench.stopped.otherwise:
@@ -158,33 +159,31 @@ def imaged_bench_of(study_text: str) -> ControlBench:
         return replace(control, static_image=image, static_focus=defocused)
 
 
-def trace(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> tuple[Traced, Wavefront]:
+def trace(prepared: PreparedTrace, states: States, device: Device) -> tuple[Traced, Wavefront]:
     """Trace a batch of instants and measure its wavefronts."""
     traced = trace_states(prepared, states, device)
     return traced, analyse(prepared, traced, chief_rays(prepared, states), device)
 
 
-def controlled(
-    control: ControlBench, controller: str, states: SurfaceStates, measured: Wavefront
-) -> SurfaceStates:
+def controlled(control: ControlBench, controller: str, states: States, measured: Wavefront) -> States:
     """Return the disturbed states (batch) with the motion of M2 that a controller adds.
 
     ``measured`` is the wavefront of the disturbed telescope, whose aberrations are supposed to be known
     without delay and error.
     """
     if controller == STATIC:
-        moved = ("segment_motion", "segment_figure", "surface_motion")
-        still = {name: np.zeros_like(getattr(states, name)) for name in moved}
-        return replace(states, field=np.broadcast_to(control.bench.field, states.field.shape).copy(), **still)
+        moved = ("segment_motion", "segment_figure", "surface_motion", "line_of_sight")
+        return replace(states, **{name: np.zeros_like(getattr(states, name)) for name in moved})
     if controller == RIGID:
         motion = states.surface_motion.copy()
-        motion[:, 0, 3:5] += rigid_tilt(control, measured)
+        motion[:, M2, 3:5] += rigid_tilt(control, measured)
         return replace(states, surface_motion=motion)
     if controller == ELASTIC:
-        assert states.mirror_figure is not None
-        figure = states.mirror_figure.copy()
-        figure[:, 0, 1:] += elastic_figure(control, measured)
-        return replace(states, mirror_figure=figure)
+        forms = list(states.deformations)
+        figure = np.array(forms[M2])
+        figure[:, 1 : control.study.figure_terms] += elastic_figure(control, measured)
+        forms[M2] = figure
+        return replace(states, deformations=tuple(forms))
     return states
 
 
@@ -217,11 +216,10 @@ def figure_gains(control: ControlBench) -> Array:
     prepared, terms = control.prepared, control.study.figure_terms
     steps = _STEP * np.eye(terms)[1:]
     figures = np.concatenate([factor * steps for factor in SIGNS])
-    surfaces, segments = len(prepared.system.surfaces), len(prepared.system.segments)
-    states = rest(padded(len(figures)), segments, surfaces, control.bench.figure_terms, terms)
-    assert states.mirror_figure is not None
-    states.mirror_figure[: len(figures), 0] = figures
-    states = replace(states, field=states.field + control.bench.field)
+    states = rest_states(prepared.system, padded(len(figures)))
+    bent = states.deformations[M2]
+    assert bent is not None
+    bent[: len(figures), :terms] = figures
     found = trace(prepared, states, choose_device("numpy"))[1]
     values = np.hstack([found.los * control.tilt_per_mm, found.zernike[:, 3:]])[: len(figures)]
     gains = checked_derivative(
@@ -284,4 +282,4 @@ def _area(study: TelescopeExposureStudy, bench: Bench) -> float:
         return float(energy_scale(bench)["area"])
     system = bench.system
     share = len(bench.prepared.weight) / study.optics.rays
-    return float(np.pi * (system.pupil_outer**2 - system.pupil_inner**2) * share * bench.stopped.light)
+    return float(np.pi * (system.annulus.outer**2 - system.annulus.inner**2) * share * bench.stopped.light)

@@ -31,7 +31,7 @@ from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.disturbances.motion import scaled
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import (
@@ -121,7 +121,7 @@ def case_blocks(
 
 def controlled_blocks(
     control: ControlBench, drawn: CaseDraw, device: Device, controller: str
-) -> Iterator[tuple[int, SurfaceStates]]:
+) -> Iterator[tuple[int, States]]:
     """Yield how a case moves under a controller: number of instants and states of each block."""
     for count, states, measured in _disturbed(control, drawn, device):
         yield count, controlled(control, controller, states, measured)
@@ -129,12 +129,10 @@ def controlled_blocks(
 
 def _disturbed(
     control: ControlBench, drawn: CaseDraw, device: Device
-) -> Iterator[tuple[int, SurfaceStates, Wavefront]]:
-    mirrors, terms = len(control.bench.system.surfaces) - 1, control.study.figure_terms
+) -> Iterator[tuple[int, States, Wavefront]]:
     for first in range(0, len(drawn.time), _BLOCK):
         last = min(first + _BLOCK, len(drawn.time))
         states = surface_states(control.bench, drawn, first, last)
-        states = replace(states, mirror_figure=np.zeros((len(states), mirrors, terms)))
         yield last - first, states, trace(control.prepared, states, device)[1]
 
 

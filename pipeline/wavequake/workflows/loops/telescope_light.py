@@ -20,13 +20,15 @@ from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.mechanics.assembly.answers import moved as split_outputs
 from wavequake.mechanics.disturbances.motion import Motion, generator, still
 from wavequake.mechanics.disturbances.registry import draw_case, instants_of, on_elements, parts
-from wavequake.optics.derivatives.central import DOFS, SIGNS, central, checked_derivative
+from wavequake.optics.derivatives.central import DOFS, SIGNS, checked_derivative
 from wavequake.optics.segments import modal
-from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.modal import ModalModel, layout_of
-from wavequake.optics.segments.states import SurfaceStates, rest
-from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.bodies import rigid_body
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.prepared import prepared
+from wavequake.workflows.bodies.made import transported
 from wavequake.workflows.bodies.stages import NODE, movable_bodies, stages_push, with_nodes
 from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, trace
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
@@ -36,8 +38,6 @@ from wavequake.workflows.segments.model import knows, model_of, motion_rows
 from wavequake.workflows.segments.study import segment_text
 from wavequake.workflows.segments.vignetting import require_all_rays
 
-# Half width of central differences of rigid motions, mm and rad.
-_SMALL = 1e-6
 # All that may move of segments, where no actuator does.
 _ALL = SegmentActuators(name="all", dofs=("dz", "rx", "ry"))
 # Motions at which the light of bodies is taken, m and rad.
@@ -135,20 +135,19 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
 
 def _moving(study: TelescopeLoopStudy, bench: Bench, light: Light) -> tuple[list[int], list[int]]:
     """Return the places of surfaces after M1 that disturbances, modes and bodies may move, and bend."""
-    count, names = len(bench.system.surfaces), [surface.name for surface in bench.system.surfaces]
+    names = [surface.name for surface in bench.system.surfaces]
     carried = {name for one in bench.bodies.carried.values() for name in one.names}
     rigid = {names.index(name) for name in carried & set(names)} if light.layout.plant else set()
-    rigid |= {0} if any(one.m2 for one in study.mode) else set()
+    rigid |= {M2} if any(one.m2 for one in study.mode) else set()
     outputs = light.layout.plant.outputs if light.layout.plant else {}
     bent = {names.index(name) for kind, name in outputs if kind == "figure" and name in names}
     for entry in study.disturbance:
         time = instants_of(study.disturbance, entry)
         motion = draw_case(study.disturbance, entry, light.layout, study.study.seed, 0, time=time)
-        moved = np.zeros((len(time), count, 6))
-        deformed = np.zeros((len(time), count - 1, bench.mirror_terms))
-        add_surfaces(moved, deformed, bench, motion, slice(0, len(time)))
-        rigid |= set(np.flatnonzero(moved.any(axis=(0, 2))).tolist())
-        bent |= set(np.flatnonzero(deformed.any(axis=(0, 2))).tolist())
+        states, every = states_at_rest(bench, len(time)), slice(0, len(time))
+        add_surfaces(states, every, bench, motion, every)
+        rigid |= set(np.flatnonzero(states.surface_motion.any(axis=(0, 2))).tolist())
+        bent |= {place for place, form in enumerate(states.deformations) if form is not None and form.any()}
     return sorted(rigid), sorted(bent)
 
 
@@ -161,11 +160,10 @@ def _of_bodies(optics: Optics, pushing: Pushing) -> Answer:
         rigid, figure = split_outputs(layout.plant, positions @ pushing.outputs.T)
         return on_elements(still(len(positions), len(layout), rigid=rigid, figure=figure), layout)
 
-    def put(states: SurfaceStates, positions: Array) -> None:
+    def put(states: States, positions: Array) -> None:
         here, moved = slice(0, len(positions)), motion(positions)
         states.segment_motion[here] += moved.segment_motion * np.repeat([MM_PER_M, 1.0], 3)
-        assert states.mirror_figure is not None
-        add_surfaces(states.surface_motion[here], states.mirror_figure[here], bench, moved, here)
+        add_surfaces(states, here, bench, moved, here)
 
     sizes = np.abs(pushing.outputs).max(axis=0, initial=0.0)
     units = _SLIGHT / np.where(sizes > 0.0, sizes, 1.0)
@@ -180,8 +178,8 @@ def _of_structure(text: str, optics: Optics, structure: Carrying) -> Answer:
     if structure.moves[:first].any():
         seen = _sight(text, json.dumps(_ALL.model_dump(), sort_keys=True))
         shown[: light.optical] += seen @ structure.moves[:first]
-    if 0 in optics.moved:
-        shown[: light.optical] += optics.moved[0] @ structure.moves[first:]
+    if M2 in optics.moved:
+        shown[: light.optical] += optics.moved[M2] @ structure.moves[first:]
     moved = np.vstack([structure.moves, structure.at])
     shown[light.optical : light.optical + len(moved)] = moved
     bodies = slice(light.optical, light.optical + first + 6)
@@ -195,7 +193,7 @@ def _moved_bodies(control: ControlBench, light: Light, one: Actuator) -> Array:
     states = states_at_rest(control.bench, p)
     one.put(light, states, np.eye(p))
     segments = in_nm_and_nrad(states.segment_motion / np.repeat([MM_PER_M, 1.0], 3))
-    return np.hstack([segments, states.surface_motion[:, 0] / UNITS]).T
+    return np.hstack([segments, states.surface_motion[:, M2] / UNITS]).T
 
 
 def in_nm_and_nrad(segment_motion: Array) -> Array:
@@ -211,7 +209,7 @@ def _telescope(text: str, dofs: tuple[int, ...]) -> tuple[ControlBench, ModalMod
     light = Light(
         model.terms,
         control.prepared.obscuration,
-        bench.system.pupil_outer,
+        bench.system.annulus.outer,
         bench.layout,
         movable=_movable(bench.system) | movable_bodies(bench),
         wavelength_nm=control.study.optics.wavelength_nm,
@@ -219,14 +217,18 @@ def _telescope(text: str, dofs: tuple[int, ...]) -> tuple[ControlBench, ModalMod
     return control, model, light
 
 
-def _movable(system: SegmentedTelescope) -> dict[str, Array]:
+def _movable(system: OpticalSystem) -> dict[str, Array]:
     """Return the motions of surfaces (6, L, 6) per motion of each surface after M1, and of each body."""
-    unit, count, found = _SMALL * np.eye(6), len(system.surfaces), dict[str, Array]()
-    single = {one.name: (place,) for place, one in enumerate(system.surfaces)}
-    for name, surfaces in (single | system.bodies).items():
-        slopes = central(np.stack([carried(system, surfaces, one) for one in (unit, -unit)]), _SMALL)
-        found[name] = np.zeros((6, count, 6))
-        found[name][:, surfaces] = slopes
+    after = [one.name for one in system.after_primary]
+    found = {name: np.zeros((6, len(system.surfaces), 6)) for name in (*after, *system.bodies)}
+    for place, name in enumerate(after, start=M2):
+        found[name][:, place] = np.eye(6)
+    for name, surfaces in system.bodies.items():
+        body = rigid_body(system, name, surfaces)
+        axes = np.asarray(np.kron(np.eye(2), body.rotation), dtype=np.float64)
+        for place in body.surfaces:
+            one = system.surfaces[place]
+            found[name][:, place] = transported(axes, body.point, one.rotation, one.position).T
     return found
 
 
@@ -251,16 +253,17 @@ def _surface_sight(text: str, place: int, bends: bool) -> Array:
     control = _telescope(text, ())[0]
     what = f"the surface {control.bench.system.surfaces[place].name}"
 
-    def bend(states: SurfaceStates, positions: Array) -> None:
-        assert states.mirror_figure is not None
-        states.mirror_figure[: len(positions), place] += positions * MM_PER_NM
+    def bend(states: States, positions: Array) -> None:
+        form = states.deformations[place]
+        assert form is not None
+        form[: len(positions)] += positions * MM_PER_NM
 
-    def move(states: SurfaceStates, positions: Array) -> None:
+    def move(states: States, positions: Array) -> None:
         states.surface_motion[: len(positions), place] += positions * UNITS
 
     if bends:
         return _traced_sight(control, what, _FIGURE, control.bench.mirror_terms, bend)
-    return _traced_sight(control, what, _OTHERS if place else _M2, len(UNITS), move)
+    return _traced_sight(control, what, _M2 if place == M2 else _OTHERS, len(UNITS), move)
 
 
 def seen_units(control: ControlBench, wavelength_nm: float) -> tuple[float, float]:
@@ -272,7 +275,7 @@ def _modal_sight(control: ControlBench, model: ModalModel, light: Light, one: Ac
     """Return the sight of an actuator of segments, which the modal model has."""
     to_mas, to_nm = seen_units(control, control.study.optics.wavelength_nm)
     places, segments = layout_of(model.terms), len(light.layout)
-    unit = rest(1, segments, 1)
+    unit = rest_states(control.prepared.system)
     one.put(light, unit, np.ones((1, len(one.channels(light)))))
     rows = []
     for dof in one.segment_dofs:
@@ -304,7 +307,7 @@ def drawn(study: TelescopeLoopStudy, optics: Optics, index: int, realization: in
     )
     if own:
         motion = motion.at([0, *range(len(at))])
-    m2 = optics.control.bench.system.surfaces[0].name
+    m2 = optics.control.bench.system.surfaces[M2].name
     if not knows(optics.model, replace(motion, rigid={}, figure={})):
         raise UserError(
             f"The disturbance {population.name!r} moves segments in ways that its first case does not, which "
@@ -329,8 +332,7 @@ def _carried(motion: Motion, optics: Optics, m2: str, shaken: Array) -> Motion:
     states = states_at_rest(optics.control.bench, len(shaken))
     optics.structure.put(states, shaken)
     added = states.segment_motion / np.repeat([MM_PER_M, 1.0], 3)
-    rotation = optics.control.bench.system.surfaces[0].rotation
-    moved = in_optics_frame(states.surface_motion[:, 0], rotation.T) / np.repeat([MM_PER_M, 1.0], 3)
+    moved = states.surface_motion[:, M2] / np.repeat([MM_PER_M, 1.0], 3)
     rigid = motion.rigid | {m2: motion.rigid.get(m2, 0.0) + moved}
     return replace(motion, segment_motion=motion.segment_motion + added, rigid=rigid)
 
@@ -373,16 +375,18 @@ def _seen(optics: Optics, motion: Motion) -> Array:
     rows = motion_rows(bench, optics.model, motion, padded(count))
     linear = modal.forms(optics.model, rows, TILE).linear[:count]
     seen = np.hstack([linear[:, places.los] * to_mas, linear[:, places.zernike][:, 3:] * to_nm])
-    surfaces = len(bench.system.surfaces)
-    moved, bent = np.zeros((count, surfaces, 6)), np.zeros((count, surfaces - 1, bench.mirror_terms))
-    add_surfaces(moved, bent, bench, motion, slice(0, count))
+    states = states_at_rest(bench, count)
+    add_surfaces(states, slice(0, count), bench, motion, slice(0, count))
+    moved = states.surface_motion
     for place, sight in optics.moved.items():
         seen += moved[:, place] / UNITS @ sight.T
     for place, sight in optics.bent.items():
-        seen += bent[:, place] / MM_PER_NM @ sight.T
+        form = states.deformations[place]
+        assert form is not None
+        seen += form / MM_PER_NM @ sight.T
     if not light.bodies_too:
         return seen
-    m2 = moved[:, 0] / UNITS
+    m2 = moved[:, M2] / UNITS
     m2[:, 3:5] += motion.m2 @ bench.m2_tilt.T / UNITS[3:5]
     nodes = np.zeros((count, len(light.nodes)))
     for column, label in enumerate(light.nodes):

@@ -31,7 +31,7 @@ from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.disturbances.plant_source import PlantSource
 from wavequake.mechanics.disturbances.registry import parts
 from wavequake.mechanics.model import Integers
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.bodies.stages import stage_notices
 from wavequake.workflows.exposures.telescope_control import (
@@ -154,9 +154,7 @@ def _nothing(bench: Bench) -> dict[str, Array]:
     return {name: np.full(shape, np.nan) for name, shape in {**shapes, **dict.fromkeys(single, ())}.items()}
 
 
-def states_of(
-    bench: Bench, one: Designed, case: CaseDraw, positions: Array, chosen: Integers
-) -> SurfaceStates:
+def states_of(bench: Bench, one: Designed, case: CaseDraw, positions: Array, chosen: Integers) -> States:
     """Return a case at the chosen of its instants under a controller, whole tiles of states."""
     control = bench.optics.control
     moved = replace(case, time=case.time[1 + chosen], motion=case.motion.at(1 + chosen))

@@ -13,7 +13,7 @@ from wavequake.control.sampled.readings import means
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import padded
 from wavequake.kernels.trace.train import Traced
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.exposures.telescope_control import ControlBench, measured_opd, ray_phase, trace
 from wavequake.workflows.loops.telescope_bench import Bench
@@ -98,9 +98,7 @@ def _rays(control: ControlBench, traced: Traced, wavefront: Wavefront, count: in
     return RayLight(rays.x, rays.y, control.prepared.weight, phase[:count])
 
 
-def _put_mean(
-    states: SurfaceStates, column: int, bench: Bench, case: CaseDraw, begin: Array, end: Array
-) -> None:
+def _put_mean(states: States, column: int, bench: Bench, case: CaseDraw, begin: Array, end: Array) -> None:
     """Write the mean of a disturbance, which goes in straight lines, over one instant at rest."""
     first = max(int(np.searchsorted(case.time, begin[0], side="right")) - 1, 0)
     last = min(int(np.searchsorted(case.time, end[0], side="left")), len(case.time) - 1)
@@ -109,6 +107,8 @@ def _put_mean(
     share = means(time, np.eye(len(near)), begin, end)[0]
     part = replace(case, time=time, motion=case.motion.at(near))
     moved = surface_states(bench.optics.control.bench, part, 0, len(near))
-    for name in ("segment_motion", "segment_figure", "surface_motion", "field", "mirror_figure"):
-        values = getattr(moved, name)[: len(near)]
-        getattr(states, name)[column] = np.tensordot(share, values, 1)
+    names = ("segment_motion", "segment_figure", "surface_motion", "line_of_sight")
+    here, there = ([*(getattr(one, name) for name in names), *one.deformations] for one in (states, moved))
+    for values, given in zip(here, there, strict=True):
+        if values is not None and given is not None:
+            values[column] = np.tensordot(share, given[: len(near)], 1)

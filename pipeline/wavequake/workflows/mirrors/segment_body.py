@@ -14,9 +14,9 @@ from wavequake.mechanics.mirrors.models import HexagonalSegment, hexagonal_segme
 from wavequake.mechanics.model import FiniteElementModel, ReducedModel
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.optics.segments.layout import Segments, is_monolithic
-from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.shapes.fit import SurfaceFit, apply, separate_pose, surface_fit
 from wavequake.optics.shapes.shapes import Conic
+from wavequake.optics.systems.system import OpticalSystem
 from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.names import parse
@@ -55,7 +55,7 @@ class SegmentBody:
 
 
 def segment_body(
-    section: SegmentModelSection, system: SegmentedTelescope, last_hz: float, figure_terms: int
+    section: SegmentModelSection, system: OpticalSystem, last_hz: float, figure_terms: int
 ) -> SegmentBody:
     """Return the segment of a telescope, whose intermediate model is kept on disk.
 
@@ -66,21 +66,21 @@ def segment_body(
         nodes for the Zernike terms.
     """
     side, turn = hexagon_of(system)
-    full = prepared(maxsize=1)(partial(build_segment, section, side, system.primary_radius))
+    full = prepared(maxsize=1)(partial(build_segment, section, side, system.primary.shape.radius))
     record = stage_record(section, system, last_hz, *DAMPING)
     stage = kept_intermediate(digest(record), lambda: intermediate(full(), highest=last_hz), section.damping)
     return SegmentBody(stage, full, figure_fit(figure_terms, system, stage, side, turn), turn)
 
 
 def stage_record(
-    section: SegmentModelSection, system: SegmentedTelescope, last_hz: float, *leave: str
+    section: SegmentModelSection, system: OpticalSystem, last_hz: float, *leave: str
 ) -> dict[str, object]:
     """Return what determines the intermediate model, but for some keys."""
     keys = SegmentModelSection.model_fields.keys() - {*leave}
     return {
         "segment": section.model_dump(mode="json", include=keys),
         "side_mm": hexagon_of(system)[0],
-        "parent_mm": system.primary_radius,
+        "parent_mm": system.primary.shape.radius,
         "highest_hz": last_hz,
     }
 
@@ -93,7 +93,7 @@ def variant_of(body: SegmentBody, name: str) -> ReducedModel:
     return reduce_variants(body.stage, [name], whole)[0]
 
 
-def segment_plant(section: ElasticSegmentSection, system: SegmentedTelescope) -> Plant:
+def segment_plant(section: ElasticSegmentSection, system: OpticalSystem) -> Plant:
     """Return the segment on its springs, which stands for all of a telescope.
 
     Inputs are the shifts of the cell below its center, m, along the segment's local axes, and its turns about
@@ -149,7 +149,7 @@ def _on_springs(section: ElasticSegmentSection, body: SegmentBody, name: str) ->
     )
 
 
-def hexagon_of(system: SegmentedTelescope) -> tuple[float, float]:
+def hexagon_of(system: OpticalSystem) -> tuple[float, float]:
     """Return the side of the largest segment in mm, and the angle in rad of a corner to the local x axis.
 
     Raises
@@ -199,7 +199,7 @@ def build_segment(section: SegmentModelSection, side: float, parent_radius: floa
 
 
 def figure_fit(
-    terms: int, system: SegmentedTelescope, stage: Intermediate, side: float, turn: float
+    terms: int, system: OpticalSystem, stage: Intermediate, side: float, turn: float
 ) -> SurfaceFit:
     """Return the fit of Zernike terms over the circle about the segment, in its local frame, mm."""
     nodes = (stage.nodes[stage.surface_nodes] * MM_PER_M) @ _turned(turn).T
@@ -209,7 +209,7 @@ def figure_fit(
         terms,
         side,
         0.0,
-        Conic(abs(system.primary_radius), -1.0),
+        Conic(abs(system.primary.shape.radius), -1.0),
     )
 
 

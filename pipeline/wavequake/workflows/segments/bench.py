@@ -21,16 +21,17 @@ from wavequake.optics.rays.pupils import PupilRays, on_glass, segment_rays, sunf
 from wavequake.optics.segments.at_rest import STEP, at_rest
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import areas, is_monolithic
-from wavequake.optics.segments.prepared import PreparedTrace, prepare
+from wavequake.optics.segments.prepared import PreparedTrace, at_field, prepare
 from wavequake.optics.segments.slopes import slope_fit
 from wavequake.optics.segments.telescope import (
     FirstOrder,
-    SegmentedTelescope,
     first_order,
     footprints,
     semi_diameters,
+    with_segments,
 )
 from wavequake.optics.shapes.corner_table import distorted
+from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
@@ -62,7 +63,7 @@ class Bench:
 
     text: str
     study: SegmentStudy
-    system: SegmentedTelescope
+    system: OpticalSystem
     first_order: FirstOrder
     layout: SegmentLayout
     prepared: PreparedTrace
@@ -124,7 +125,7 @@ def _beside(first: Bench, place: int) -> Bench:
     field = np.array(optics.points_arcmin[point]) * _ARCMIN
     light = _in_color(first, optics.colors_nm[color] * 1e-6)
     system, prepared = light.system, _at_field(light, first.study, field)
-    static, stopped, _ = _reference(first.study, prepared, field, first.figure_terms, first.mirror_terms)
+    static, stopped, _ = _reference(first.study, prepared)
     own = replace(first, system=system, prepared=prepared, static=static, stopped=stopped, field=field)
     return replace(own, place=place, first_order=first_order(system))
 
@@ -137,9 +138,9 @@ def _in_color(first: Bench, wavelength: float) -> PreparedTrace:
     return prepare(first.system, rays, wavelength, terms, first.figure_terms, first.mirror_terms)
 
 
-def has_lenses(system: SegmentedTelescope) -> bool:
+def has_lenses(system: OpticalSystem) -> bool:
     """Return whether light is refracted after M1."""
-    return any(surface.action == "refract" for surface in system.surfaces)
+    return any(surface.action == "refract" for surface in system.after_primary)
 
 
 @prepared(maxsize=2)
@@ -162,7 +163,7 @@ def bench_of(study_text: str) -> Bench:
 def _prepared(study_text: str) -> Bench:
     study = study_from_identity(SegmentStudy, study_text)
     wavelength = study.optics.wavelength_nm * 1e-6
-    system = replace(build_telescope(study), wavelength=wavelength)
+    system = replace(build_telescope(study), wavelengths=np.array([wavelength]))
     _require_m2(study, system)
     _require_mirrors_for_colors(study, system)
     plants = elastic_segments(study, system)
@@ -176,7 +177,7 @@ def _prepared(study_text: str) -> Bench:
     )
     at = np.array(study.optics.points_arcmin[0]) * _ARCMIN
     prepared = _at_field(prepared, study, at)
-    static, stopped, tilt = _reference(study, prepared, at, terms, mirror_terms)
+    static, stopped, tilt = _reference(study, prepared)
     return Bench(
         study_text,
         study,
@@ -197,17 +198,17 @@ def _prepared(study_text: str) -> Bench:
 
 def _at_field(prepared: PreparedTrace, study: SegmentStudy, field: NDArray[np.float64]) -> PreparedTrace:
     """Return what is prepared, for the light of a field point (2,) in rad."""
-    at = (float(field[0]), float(field[1]))
+    prepared = at_field(prepared, field)
     edges = None  # looking at them takes a tenth of the trace
     if not _beam_clears_mirrors(prepared, field):
-        edges = semi_diameters(prepared.system.surfaces)
+        edges = semi_diameters(prepared.system.after_primary)
     prepared = replace(
         prepared, train=replace(prepared.train, semi_diameters=edges), slopes=None, sphere=None
     )
     if study.wavefront.method == "slopes":
-        prepared = replace(prepared, slopes=slope_fit(prepared, at))
+        prepared = replace(prepared, slopes=slope_fit(prepared))
     if study.wavefront.reference == "fitted":
-        prepared = replace(prepared, sphere=reference_fit(prepared, at))
+        prepared = replace(prepared, sphere=reference_fit(prepared))
     return prepared
 
 
@@ -218,10 +219,12 @@ def _beam_clears_mirrors(prepared: PreparedTrace, field: NDArray[np.float64]) ->
     From the axial footprint and, generously, four times the way of light from the field point.
     """
     system, rays = prepared.system, prepared.rays
-    edges = semi_diameters(system.surfaces[:-1])
-    places = np.array([np.zeros(3), *(surface.position for surface in system.surfaces)])
+    edges = semi_diameters(system.after_primary[:-1])
+    places = np.array([np.zeros(3), *(surface.position for surface in system.after_primary)])
     way = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
-    reach = max(1.0, np.hypot(rays.x, rays.y).max() / system.pupil_outer)  # glass beyond the pupil's annulus
+    reach = max(
+        1.0, np.hypot(rays.x, rays.y).max() / system.annulus.outer
+    )  # glass beyond the pupil's annulus
     beam = reach * footprints(system) + 4.0 * way * np.tan(np.abs(field)).sum()
     return bool((beam <= 0.99 * edges).all())
 
@@ -233,12 +236,12 @@ def in_basis(bench: Bench, coefficients: NDArray[np.float64]) -> NDArray[np.floa
     return known_transformed(coefficients, bench.prepared.obscuration, 0.0)
 
 
-def monolithic(system: SegmentedTelescope) -> bool:
+def monolithic(system: OpticalSystem) -> bool:
     """Return whether M1 is one mirror without edges."""
     return is_monolithic(system.segments)
 
 
-def build_telescope(study: SegmentStudy) -> SegmentedTelescope:
+def build_telescope(study: SegmentStudy) -> OpticalSystem:
     """Build the telescope that a study describes."""
     section = study.telescope
     if section.name == "custom":
@@ -254,10 +257,10 @@ def build_telescope(study: SegmentStudy) -> SegmentedTelescope:
     system = telescope(section.name, **{key: value for key, value in options.items() if value is not None})
     if section.corners_csv is None:
         return system
-    return replace(system, segments=distorted(system.segments, io.StringIO(section.corners_csv)))
+    return with_segments(system, distorted(system.segments, io.StringIO(section.corners_csv)))
 
 
-def build_rays(study: SegmentStudy, system: SegmentedTelescope) -> PupilRays:
+def build_rays(study: SegmentStudy, system: OpticalSystem) -> PupilRays:
     """Sample the pupil; rays that meet no glass are dropped.
 
     Raises
@@ -268,7 +271,7 @@ def build_rays(study: SegmentStudy, system: SegmentedTelescope) -> PupilRays:
     optics = study.optics
     if optics.sampling == "segments" and not monolithic(system):
         return segment_rays(system.segments, _TRIANGLE_POINTS[optics.rays_per_segment])
-    return on_glass(system, sunflower(system.pupil_inner, system.pupil_outer, optics.rays))
+    return on_glass(system, sunflower(system.annulus.inner, system.annulus.outer, optics.rays))
 
 
 def deformed_terms(study: SegmentStudy, layout: SegmentLayout) -> tuple[int, int]:
@@ -284,31 +287,31 @@ def deformed_terms(study: SegmentStudy, layout: SegmentLayout) -> tuple[int, int
     return max(drawn, *segments, 0), max(*mirrors, 0, 0)
 
 
-def layout_of(system: SegmentedTelescope) -> SegmentLayout:
+def layout_of(system: OpticalSystem) -> SegmentLayout:
     """Return the segments for the mechanics: SI units, z to the sky."""
     segments = system.segments
-    annulus = np.array([np.pi * (system.pupil_outer**2 - system.pupil_inner**2)])
+    annulus = np.array([np.pi * (system.annulus.outer**2 - system.annulus.inner**2)])
     return SegmentLayout(
         names=segments.names,
         centers_m=segments.centers * [1.0, 1.0, -1.0] / MM_PER_M,
         axes=segments.axes,
         corners_m=segments.corners / MM_PER_M,
         areas_m2=(annulus if monolithic(system) else areas(segments)) / MM_PER_M**2,
-        others=(*system.bodies, *(surface.name for surface in system.surfaces)),
+        others=(*system.bodies, *(surface.name for surface in system.after_primary)),
         owner=f"the telescope {system.name}",
     )
 
 
-def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:
+def _require_m2(study: SegmentStudy, system: OpticalSystem) -> None:
     for population in study.disturbance:
-        if getattr(population, "act", "") == "m2" and system.surfaces[0].action != "reflect":
+        if getattr(population, "act", "") == "m2" and system.after_primary[0].action != "reflect":
             raise UserError(
                 f"The disturbance {population.name!r} tilts M2, but the telescope {system.name} has no "
                 "mirror after the primary one; choose act = 'mount'."
             )
 
 
-def _require_mirrors_for_colors(study: SegmentStudy, system: SegmentedTelescope) -> None:
+def _require_mirrors_for_colors(study: SegmentStudy, system: OpticalSystem) -> None:
     if study.imaging.wavelengths_nm is not None and has_lenses(system):
         raise UserError(
             "imaging.wavelengths_nm adds images of colors whose paths are the same, as mirrors make them, "
@@ -348,7 +351,7 @@ def _require_elements(study: SegmentStudy, layout: SegmentLayout, bodies: tuple[
 
 
 def _reference(
-    study: SegmentStudy, prepared: PreparedTrace, field: NDArray[np.float64], terms: int, mirror_terms: int
+    study: SegmentStudy, prepared: PreparedTrace
 ) -> tuple[Wavefront, Stopped, NDArray[np.float64]]:
     """Measure the reference configuration, its lost light, and M2's rotations for 1 rad of line of sight.
 
@@ -356,7 +359,7 @@ def _reference(
     """
     sections = study.telescope, study.optics, study.wavefront
     known_by = tuple(section.model_dump_json() for section in sections)
-    wavefront, status = at_rest(prepared, known_by, field, terms, mirror_terms)
+    wavefront, status = at_rest(prepared, known_by)
     refuse_dark_segment(prepared, status, wavefront.lost_segments[0])
     stopped = stopped_at_rest(prepared, status)
     if stopped.words() and not tells_apart(prepared.zernike, status == OK):
@@ -364,7 +367,7 @@ def _reference(
             f"{stopped.words()}; the others do not determine {prepared.zernike.basis.shape[1]} "
             "Zernike terms: take fewer wavefront.zernike_terms, or a larger semi_diameter_mm."
         )
-    if prepared.system.surfaces[0].action != "reflect":
+    if prepared.system.after_primary[0].action != "reflect":
         return wavefront, stopped, np.zeros((2, 2))
     los = wavefront.los[1:9].reshape(4, 2, 2)
     per_tilt = checked_derivative(los, STEP, "M2's tilt", "take other optics.rays").T

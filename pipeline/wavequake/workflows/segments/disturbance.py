@@ -287,7 +287,7 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
         instants = cases * sum(entry.share * entry.instants for entry in populations) / shares
         return dict.fromkeys(("draw", "modal"), (instants * len(bench.system.segments), "segment-instants"))
     instants = cases * sum(entry.share * padded(entry.instants) for entry in populations) / shares
-    optics, surfaces = bench.study.optics, 1 + len(bench.system.surfaces)
+    optics, surfaces = bench.study.optics, 1 + len(bench.system.after_primary)
     rays = len(bench.prepared.weight) * len(optics.points_arcmin) * len(optics.colors_nm)
     return {"trace": (instants * rays * surfaces, "ray-surfaces")}
 

@@ -123,7 +123,7 @@ def way_between(
     if sight is None:
         return own
     way = sight.reshape(*at.shape, 2)[:, ::-1]
-    if not leaves_dots((way - way[:, :1]) * (2.0 * bench.system.pupil_outer / bench.unit_mm)):
+    if not leaves_dots((way - way[:, :1]) * (2.0 * bench.system.annulus.outer / bench.unit_mm)):
         return own
     if own is not None and own.shape != way.shape:  # of rows of a file, each with its own place first
         return own

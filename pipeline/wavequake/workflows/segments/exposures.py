@@ -21,8 +21,8 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.disturbances.registry import parts
 from wavequake.optics.segments.prepared import chief_rays, trace_states
-from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import MAS_PER_RAD, Bench, bench_at
@@ -69,7 +69,7 @@ def frame_notices(bench: Bench) -> Iterator[str]:
     imaging = bench.study.imaging
     if not imaging.enabled:
         return
-    unit = bench.unit_mm / (2.0 * bench.system.pupil_outer) * MAS_PER_RAD
+    unit = bench.unit_mm / (2.0 * bench.system.annulus.outer) * MAS_PER_RAD
     half = 0.5 * imaging.pixels * imaging.sampling * unit
     for entry in bench.study.disturbance:
         moving = [part for part in parts(bench.study.disturbance, entry) if part.sight]
@@ -96,7 +96,7 @@ def gather(bench: Bench, way: Array | None = None) -> Gathered:
     imaging, ways = bench.study.imaging, None
     size = _frames(bench) * imaging.pixels
     if way is not None and (way != way[0, 0]).any():
-        ways = way * (2.0 * bench.system.pupil_outer / bench.unit_mm)
+        ways = way * (2.0 * bench.system.annulus.outer / bench.unit_mm)
 
     def none_yet(pixels: int) -> NDArray[Any]:
         if ways is None:
@@ -124,7 +124,7 @@ def add_images(bench: Bench, gathered: Gathered, traced: Traced, wavefront: Wave
         add_smeared(total, images, ways[there], imaging.sampling)
     if gathered.lit is None:
         return
-    diameter = 2.0 * bench.system.pupil_outer
+    diameter = 2.0 * bench.system.annulus.outer
     per_mm = 1.0 / (bench.unit_mm * bench.prepared.focal_length)
     slopes = (wavefront.chief[piece.here] - bench.static.chief[0]) * per_mm
     if ways is not None:
@@ -148,7 +148,7 @@ def _lit(study_text: str, place: int, canvas: int) -> LitObject:
     assert shown is not None
     glass = float(bench.layout.areas_m2.sum()) * 1e6
     # A pupil seems that much larger in shorter light.
-    diameter = 2.0 * bench.system.pupil_outer * (bench.prepared.wavelength / bench.unit_mm)
+    diameter = 2.0 * bench.system.annulus.outer * (bench.prepared.wavelength / bench.unit_mm)
     size = imaging.pixels, imaging.sampling, glass, diameter
     return lit_object(shown, (rays.x, rays.y, bench.prepared.weight), *size, canvas)
 
@@ -172,9 +172,8 @@ def exposed(bench: Bench, gathered: Gathered, instants: int, drawn: CaseDraw) ->
 
 def object_at_rest(bench: Bench) -> Array:
     """Return the image (pixels, pixels) of the object of a study while nothing moves."""
-    system, gathered = bench.system, gather(bench)
-    still = rest(TILE, len(system.segments), len(system.surfaces), bench.figure_terms, bench.mirror_terms)
-    still.field[:] = bench.field
+    gathered = gather(bench)
+    still = rest_states(bench.prepared.system, TILE)
     traced = trace_states(bench.prepared, still, NUMPY)
     wavefront = analyse(bench.prepared, traced, chief_rays(bench.prepared, still))
     add_images(bench, gathered, traced, wavefront, Piece(0, 0, 1, 0))

@@ -101,7 +101,7 @@ def refuse_what_cannot_be_imaged(bench: Bench) -> None:
 
 def _remedy(bench: Bench) -> str:
     """Say what to do about a wavefront error at rest: that of the image's place if it explains half of it."""
-    optics, (*_, last, image) = bench.first_order, ("M1", *(one.name for one in bench.system.surfaces))
+    optics, (*_, last, image) = bench.first_order, ("M1", *(one.name for one in bench.system.after_primary))
     waves = waves_of_defocus(optics.defocus, optics.numerical_aperture, bench.prepared.wavelength)
     if waves < 0.5 * bench.static.rms_raw[0] and not np.any(bench.field):
         return "light along the axis has no common focus; mend a conic"
@@ -172,7 +172,7 @@ def energy_scale(bench: Bench) -> dict[str, Any]:
     return {
         "sampling": bench.study.imaging.sampling,
         "area": float(bench.layout.areas_m2.sum()) * 1e6 * bench.stopped.light * colored,
-        "diameter": 2.0 * bench.system.pupil_outer,
+        "diameter": 2.0 * bench.system.annulus.outer,
     }
 
 
@@ -213,7 +213,7 @@ def instant_images(
         where images are sums over rays.
     """
     imaging, prepared = bench.study.imaging, bench.prepared
-    diameter = 2.0 * bench.system.pupil_outer
+    diameter = 2.0 * bench.system.annulus.outer
     per_mm = diameter / (bench.unit_mm * prepared.focal_length)
     position = (wavefront.los[here] - bench.static.los[0]) * per_mm
     moves = bool(np.abs(position).max() > 1.0)
@@ -233,7 +233,7 @@ def local_images(
     behind_um: float = 0.0,
 ) -> NDArray[np.floating[Any]]:
     """Return images (instants, size, size) about places (instants, 2) in lambda/D; as `instant_images`."""
-    per_mm = 2.0 * bench.system.pupil_outer / (bench.unit_mm * bench.prepared.focal_length)
+    per_mm = 2.0 * bench.system.annulus.outer / (bench.unit_mm * bench.prepared.focal_length)
     shift = (wavefront.chief[here] - bench.static.chief[0]) * per_mm - about
     frames = [
         _colored(bench, traced, wavefront, here, shift, size, factor, behind_um)
@@ -256,7 +256,7 @@ def _colored(
     behind_um: float,
 ) -> NDArray[np.floating[Any]]:
     """Return images (instants, size²) at a wavelength that is shorter by a factor, moved by lambda/D."""
-    diameter, dark = 2.0 * bench.system.pupil_outer, wavefront.vignetted[here] > 0
+    diameter, dark = 2.0 * bench.system.annulus.outer, wavefront.vignetted[here] > 0
     if by_rays(bench) or behind_um:
         return _ray_images(bench, traced, here, shift / diameter, size, factor, behind_um, wavefront.device)
     centers = bench.system.segments.centers[:, :2]
@@ -396,5 +396,5 @@ def _grid(bench: Bench, pixels: int, factor: float) -> dict[str, Any]:
     return {
         "pixels": pixels,
         "sampling": bench.study.imaging.sampling * factor,
-        "diameter": 2.0 * bench.system.pupil_outer,
+        "diameter": 2.0 * bench.system.annulus.outer,
     }

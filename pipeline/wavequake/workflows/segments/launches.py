@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.mechanics.disturbances.population import Population
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion
-from wavequake.optics.segments.kinematics import carried, in_optics_frame
-from wavequake.optics.segments.states import SurfaceStates, rest
-from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.bodies import rigid_body, with_bodies
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.bench import MM_PER_M, Bench
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 # Tiles per launch: about 10 MB per output array at 9000 rays, however many and long the cases are. Memory of
 # more is the system's to find and to clear, launch by launch: a sixth of a campaign.
 _LAUNCH_TILES = 8
+_TO_MM = np.repeat([MM_PER_M, 1.0], 3)
 
 Kind = TypeVar("Kind", bound=Population)
 
@@ -113,7 +115,7 @@ def traced_instants(drawn: CaseDraw) -> int:
     return 1 if all((one == one[:1]).all() for one in series) else len(drawn.time)
 
 
-def lost_segment(system: SegmentedTelescope, drawn: CaseDraw, wavefront: Wavefront, piece: Piece) -> str:
+def lost_segment(system: OpticalSystem, drawn: CaseDraw, wavefront: Wavefront, piece: Piece) -> str:
     """Say which segment loses all its rays in a piece of a case; nothing where none does."""
     instants, segments = np.nonzero(wavefront.lost_segments[piece.here])
     if not len(instants):
@@ -131,22 +133,19 @@ def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
     return populations[which[0]], int(realization[0])
 
 
-def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
+def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> States:
     """Convert instants first <= i < last from SI to the optics (mm), padded with rest to whole tiles."""
     states = states_at_rest(bench, padded(last - first))
     put_states(states, 0, bench, drawn, slice(first, last))
     return states
 
 
-def states_at_rest(bench: Bench, batch: int) -> SurfaceStates:
+def states_at_rest(bench: Bench, batch: int) -> States:
     """Return a batch of instants at which nothing moves, in the light of the bench's field point."""
-    system = bench.system
-    states = rest(batch, len(system.segments), len(system.surfaces), bench.figure_terms, bench.mirror_terms)
-    states.field[:] = bench.field
-    return states
+    return rest_states(bench.prepared.system, batch)
 
 
-def put_states(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw, part: slice) -> None:
+def put_states(states: States, place: int, bench: Bench, drawn: CaseDraw, part: slice) -> None:
     """Write some instants of a case over instants at rest, from `place` on."""
     motion, here = drawn.motion, slice(place, place + part.stop - part.start)
     segments = states.segment_motion[here]
@@ -156,22 +155,23 @@ def put_states(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw,
     states.segment_figure[here, :, : figure.shape[-1]] = (
         figure[part] if figure.ndim > 2 else figure
     ) * MM_PER_M
-    states.surface_motion[here, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
-    bent = None if states.mirror_figure is None else states.mirror_figure[here]
-    add_surfaces(states.surface_motion[here], bent, bench, motion, part)
-    states.field[here] += motion.mount[part]
+    states.surface_motion[here, M2, 3:5] = motion.m2[part] @ bench.m2_tilt.T
+    add_surfaces(states, here, bench, motion, part)
+    states.line_of_sight[here] += motion.mount[part]
 
 
-def add_surfaces(moved: Array, bent: Array | None, bench: Bench, motion: Motion, part: slice) -> None:
-    """Add how a motion moves (n, L, 6) and bends (n, L - 1, terms) surfaces by their names, as states do."""
-    for index, surface in enumerate(bench.system.surfaces):
+def add_surfaces(states: States, here: slice, bench: Bench, motion: Motion, part: slice) -> None:
+    """Add how some instants of a motion move and bend surfaces by their names."""
+    for index, (surface, form) in enumerate(zip(bench.system.surfaces, states.deformations, strict=True)):
         if surface.name in motion.rigid:
-            own = motion.rigid[surface.name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            moved[:, index] += in_optics_frame(own, surface.rotation)
-        shape = motion.figure.get(surface.name)
-        if shape is not None and bent is not None:
-            bent[:, index, : shape.shape[-1]] += (shape[part] if shape.ndim > 1 else shape) * MM_PER_M
-    for name, surfaces in bench.system.bodies.items():
-        if name in motion.rigid:
-            own = motion.rigid[name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            moved[:, surfaces] += carried(bench.system, surfaces, own)
+            states.surface_motion[here, index] += motion.rigid[surface.name][part] * _TO_MM
+        bent = motion.figure.get(surface.name)
+        if bent is not None and form is not None:
+            form[here, : bent.shape[-1]] += (bent[part] if bent.ndim > 1 else bent) * MM_PER_M
+    moved = [
+        (rigid_body(bench.system, name, surfaces), motion.rigid[name][part] * _TO_MM)
+        for name, surfaces in bench.system.bodies.items()
+        if name in motion.rigid
+    ]
+    if moved:
+        states.surface_motion[here] = with_bodies(bench.system, states.surface_motion[here], moved)

@@ -19,8 +19,9 @@ from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.model import ReducedModel
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
-from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
@@ -97,7 +98,7 @@ def judged(
 def resolution(bench: Bench) -> float:
     """Return lambda/D in the image, mm."""
     prepared = bench.prepared
-    return abs(prepared.wavelength * prepared.focal_length / (2.0 * bench.system.pupil_outer))
+    return abs(prepared.wavelength * prepared.focal_length / (2.0 * bench.system.annulus.outer))
 
 
 def _mechanical(
@@ -127,19 +128,15 @@ def traced_reference(study_text: str, disturbed: str, device_name: str) -> tuple
     return moved, traced(study, model.bench, disturbed, moved, choose_device(device_name))
 
 
-def surface_states(bench: Bench, which: NDArray[np.int64], moved: Array) -> SurfaceStates:
+def surface_states(bench: Bench, which: NDArray[np.int64], moved: Array) -> States:
     """Return motions (time, segment, 6 + J) of the segments `which` as states of the telescope.
 
     They are padded with rest to whole tiles.
     """
-    batch, count = padded(len(moved)), len(moved)
-    segments, surfaces = len(bench.system.segments), len(bench.system.surfaces)
-    motion = np.zeros((batch, segments, 6))
-    figure = np.zeros((batch, segments, bench.figure_terms))
-    motion[:count, which] = moved[..., :6]
-    figure[:count, which] = moved[..., 6:]
-    field = np.zeros((batch, 2)) + bench.field
-    return SurfaceStates(motion, figure, np.zeros((batch, surfaces, 6)), field)
+    states, count = rest_states(bench.prepared.system, padded(len(moved))), len(moved)
+    states.segment_motion[:count, which] = moved[..., :6]
+    states.segment_figure[:count, which] = moved[..., 6:]
+    return states
 
 
 def traced(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.trace.status import OK, surface_of
 from wavequake.optics.segments.prepared import PreparedTrace
-from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.systems.system import OpticalSystem
 
 Codes = NDArray[np.int8]
 
@@ -69,7 +69,7 @@ def _percent(count: int, total: int) -> str:
 
 def stopped_at_rest(prepared: PreparedTrace, status: Codes) -> Stopped:
     """Count what the status (N,) of the rays at rest, as `kernels.trace.train.Traced` has it, says."""
-    mirrors = prepared.system.surfaces[:-1]
+    mirrors = prepared.system.after_primary[:-1]
     where = surface_of(status)
     counts = [int(np.count_nonzero(where == index)) for index in range(len(mirrors))]
     dark = (where >= 0) & (where < len(mirrors))
@@ -105,14 +105,14 @@ def refuse_dark_segment(prepared: PreparedTrace, status: Codes, lost_segments: N
     raise UserError(f"{what}: {_where(system, own)}. Of the pupil, {whole}.")
 
 
-def _where(system: SegmentedTelescope, own: Codes) -> str:
+def _where(system: OpticalSystem, own: Codes) -> str:
     """Say where most of a segment's rays end, and what would let them pass."""
     ends, counts = np.unique(surface_of(own[own != OK]), return_counts=True)
     end = int(ends[np.argmax(counts)])
     count = f"{counts.max()} of {len(own)}"
-    if not 0 <= end < len(system.surfaces) - 1:
+    if not 0 <= end < len(system.after_primary) - 1:
         return f"{count} pass beside the glass or the image; check telescope and optics.field_arcmin"
-    mirror = system.surfaces[end]
+    mirror = system.after_primary[end]
     if mirror.opening is None:
         return f"{count} miss {mirror.name}; check its radius, conic and distance, and optics.field_arcmin"
     return (

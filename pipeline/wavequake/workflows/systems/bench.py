@@ -31,7 +31,7 @@ from wavequake.optics.systems.bodies import (
 )
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import at_instant, rest_states
-from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.wavefront import (
     PreparedSystem,
@@ -141,7 +141,7 @@ def _imager(
     study: SystemStudy,
     prepared: tuple[tuple[PreparedSystem, ...], ...],
     static: tuple[tuple[Wavefront, ...], ...],
-    rest: SystemStates,
+    rest: States,
 ) -> SystemImager | None:
     """Return what makes the exposures of a study, if any; light that is stopped at rest is dark in them."""
     if study.imaging is None:
@@ -155,7 +155,7 @@ def _imager(
     return prepare_images(study.imaging, prepared, static, lit, study.object, study.detector)
 
 
-def _arrives(prepared: PreparedSystem, rest: SystemStates) -> NDArray[np.bool_]:
+def _arrives(prepared: PreparedSystem, rest: States) -> NDArray[np.bool_]:
     """Return which rays (N,) arrive at rest."""
     traced = trace_sequence(prepared.sequence, prepared.rays, incoming_light(prepared, rest), NUMPY)
     return np.asarray((prepared.status == OK) & (traced.status[0] == OK), dtype=np.bool_)
@@ -295,7 +295,7 @@ def light_of(prepared: PreparedSystem) -> str:
     return f"field {field} at {prepared.wavelength * NM_PER_MM:.6g} nm"
 
 
-def _require_light(prepared: PreparedSystem, wavefront: Wavefront, rest: SystemStates) -> None:
+def _require_light(prepared: PreparedSystem, wavefront: Wavefront, rest: States) -> None:
     """Raise UserError if too little light arrives at rest."""
     trouble = failure(prepared, wavefront, rest)
     if trouble:
@@ -306,7 +306,7 @@ def _require_light(prepared: PreparedSystem, wavefront: Wavefront, rest: SystemS
         )
 
 
-def failure(prepared: PreparedSystem, wavefront: Wavefront, states: SystemStates) -> tuple[int, str] | None:
+def failure(prepared: PreparedSystem, wavefront: Wavefront, states: States) -> tuple[int, str] | None:
     """Return the first instant that has no wavefront, and why; None if all have one."""
     known = np.isfinite(wavefront.zernike[:, 1:]).all(axis=1)  # slopes do not know piston
     bad = ~(np.isfinite(wavefront.chief).all(axis=1) & known)
@@ -318,7 +318,7 @@ def failure(prepared: PreparedSystem, wavefront: Wavefront, states: SystemStates
     return instant, lost_light(prepared, states, instant)
 
 
-def _lost_chief(prepared: PreparedSystem, states: SystemStates, instant: int) -> str:
+def _lost_chief(prepared: PreparedSystem, states: States, instant: int) -> str:
     """Say where the chief ray is lost at an instant, and why."""
     light = incoming_light(prepared, at_instant(states, instant))
     traced = trace_sequence(prepared.sequence, prepared.chief, light, NUMPY, ignore_apertures=True)
@@ -329,7 +329,7 @@ def _lost_chief(prepared: PreparedSystem, states: SystemStates, instant: int) ->
     return f"the chief ray of {light_of(prepared)} is lost at {name}, {why}"
 
 
-def lost_light(prepared: PreparedSystem, states: SystemStates, instant: int) -> str:
+def lost_light(prepared: PreparedSystem, states: States, instant: int) -> str:
     """Say how many rays are lost at an instant, where and why, the most first."""
     one = at_instant(states, instant)
     traced = trace_sequence(prepared.sequence, prepared.rays, incoming_light(prepared, one), NUMPY)
@@ -345,7 +345,7 @@ def lost_light(prepared: PreparedSystem, states: SystemStates, instant: int) -> 
     )
 
 
-def system_states(bench: SystemBench, drawn: ElementMotion) -> SystemStates:
+def system_states(bench: SystemBench, drawn: ElementMotion) -> States:
     """Convert a case's motion from SI to the optics (mm), body by body and surface by surface."""
     system = bench.system
     states = rest_states(system, len(drawn.sight))
@@ -359,7 +359,7 @@ def system_states(bench: SystemBench, drawn: ElementMotion) -> SystemStates:
         if heights is not None and form is not None:
             form[:, -heights[0].size :] = heights.reshape(len(heights), -1) * MM_PER_M
     carried = [(body, _in_mm(drawn.rigid[body.name])) for body in bench.bodies if body.name in drawn.rigid]
-    return SystemStates(with_bodies(system, states.surface_motion, carried), states.deformations, drawn.sight)
+    return States(with_bodies(system, states.surface_motion, carried), states.deformations, drawn.sight)
 
 
 def _in_mm(motion: Array) -> Array:

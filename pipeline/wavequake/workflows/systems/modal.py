@@ -24,7 +24,7 @@ from wavequake.optics.derivatives.modal_light import (
 )
 from wavequake.optics.derivatives.sensitivity import default_steps
 from wavequake.optics.shapes.shapes import ZernikeDeformation
-from wavequake.optics.systems.system import SystemStates
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.workflows.mirrors.study import FULL
@@ -190,7 +190,7 @@ def _motions(bench: SystemBench, columns: Columns) -> Motions:
     turns[: 6 * len(columns.rigid)] = np.tile(np.arange(6) >= 3, len(columns.rigid))
     turns[-2:] = True
 
-    def move(moved: Array) -> SystemStates:
+    def move(moved: Array) -> States:
         rows = np.zeros((len(moved), columns.width))
         rows[:, columns.moving] = moved
         return system_states(bench, columns.motion(rows))

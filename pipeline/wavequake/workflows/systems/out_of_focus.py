@@ -5,6 +5,8 @@ from dataclasses import replace
 from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 
@@ -52,18 +54,19 @@ def _defocus(study: Any) -> tuple[float, str]:
 
 def _of_telescope(study: Any) -> tuple[float, str]:
     from wavequake.optics.segments.telescope import first_order, rim_aberration
+    from wavequake.optics.systems.system import wavelength_of
     from wavequake.workflows.segments.bench import build_telescope
 
     system = build_telescope(study)
     if hasattr(study, "optics"):
-        system = replace(system, wavelength=study.optics.wavelength_nm * 1e-6)
-    optics, (*_, last, image) = first_order(system), ("M1", *(one.name for one in system.surfaces))
-    waves = waves_of_defocus(optics.defocus, optics.numerical_aperture, system.wavelength)
+        system = replace(system, wavelengths=np.array([study.optics.wavelength_nm * 1e-6]))
+    optics, (*_, last, image) = first_order(system), ("M1", *(one.name for one in system.after_primary))
+    waves = waves_of_defocus(optics.defocus, optics.numerical_aperture, wavelength_of(system))
     if waves > _FAR:
         return waves, place_of_image(image, last, optics.defocus, optics.back_focus)
     beside = rim_aberration(system)
     return (
-        _SPHERICAL * beside * optics.numerical_aperture / system.wavelength,
+        _SPHERICAL * beside * optics.numerical_aperture / wavelength_of(system),
         f"axial rays of M1's rim meet {image} {beside:.3g} mm beside those of its center; mend a conic",
     )
 
@@ -74,7 +77,7 @@ def _of_system(study: Any) -> tuple[float, str]:
     from wavequake.optics.systems.system import wavelength_of
 
     system = build(study.system)
-    optics, (*_, last, image) = paraxial(system), [one.name for one in system.surfaces]
+    optics, (*_, last, image) = paraxial(system), [one.name for one in system.after_primary]
     if not isfinite(optics.defocus):
         return 0.0, ""
     return (

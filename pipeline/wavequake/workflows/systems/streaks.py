@@ -14,7 +14,7 @@ from wavequake.optics.derivatives.sensitivity import default_steps, figure_sensi
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import entrance_pupil_center
-from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, measure_system
 from wavequake.prepared import prepared
 from wavequake.workflows.systems.bench import SystemBench, system_bench, system_states
@@ -114,7 +114,7 @@ def _gain(bench: SystemBench, one: PreparedSystem) -> Array:
     return np.concatenate([*found, gradient(values, step).T])
 
 
-def flat(system: OpticalSystem, states: SystemStates) -> Array:
+def flat(system: OpticalSystem, states: States) -> Array:
     """Return states as rows (T, columns), as `sight_gains` has them; without heights on grids."""
     count = len(states.surface_motion)
     figures = [

@@ -18,7 +18,8 @@ from wavequake.mechanics.mirrors.material import Material
 from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror, on_springs
 from wavequake.mechanics.model import FiniteElementModel
 from wavequake.optics.polynomials.zernike import MOST_TERMS, annular_zernike
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.system import States
 from wavequake.prepared import prepared
 from wavequake.reduction.metrics import modal_form
 from wavequake.reduction.reduce import reduce
@@ -114,7 +115,7 @@ class ElasticM2(Actuator):
         except UserError as error:
             raise UserError(f"actuator.{self.name}: {error}") from None
 
-    def put(self, light: Light, states: SurfaceStates, positions: Array) -> None:
+    def put(self, light: Light, states: States, positions: Array) -> None:
         """Add the surface at rest of positions (batch, p) to the figure of M2."""
         self._bend(states, positions @ self.bending().static)
 
@@ -128,9 +129,10 @@ class ElasticM2(Actuator):
             lambda states, positions: self._bend(states, positions @ found.shapes),
         )
 
-    def _bend(self, states: SurfaceStates, surface: Array) -> None:
-        assert states.mirror_figure is not None
-        states.mirror_figure[: len(surface), 0, : self.terms] += surface * MM_PER_NM
+    def _bend(self, states: States, surface: Array) -> None:
+        figure = states.deformations[M2]
+        assert figure is not None
+        figure[: len(surface), : self.terms] += surface * MM_PER_NM
 
     def _body(self) -> "_Body":
         disc = CircularMirror(

@@ -9,7 +9,8 @@ from pydantic import Field
 from wavequake.chain.loops.block import Actuator, register
 from wavequake.chain.loops.light import Light
 from wavequake.optics.polynomials.zernike import MOST_TERMS
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.system import States
 
 MM_PER_NM = 1e-6
 
@@ -30,7 +31,8 @@ class DeformableM2(Actuator):
         """Return Z2, Z3, ..."""
         return tuple(f"Z{j}" for j in range(2, self.terms + 1))
 
-    def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+    def put(self, light: Light, states: States, positions: NDArray[np.float64]) -> None:
         """Add positions to the figure of M2."""
-        assert states.mirror_figure is not None
-        states.mirror_figure[: len(positions), 0, 1 : self.terms] += positions * MM_PER_NM
+        figure = states.deformations[M2]
+        assert figure is not None
+        figure[: len(positions), 1 : self.terms] += positions * MM_PER_NM

@@ -14,7 +14,8 @@ from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.history_table import read_columns
 from wavequake.optics.polynomials.zernike import MOST_TERMS, annular_zernike
 from wavequake.optics.rays.pupils import sunflower
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.system import States
 from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
@@ -78,10 +79,11 @@ class InfluencedM2(Actuator):
         given = _read(self.file_csv)[1]
         return np.pad(given, ((0, 0), (0, self.terms - given.shape[1])))
 
-    def put(self, light: Light, states: SurfaceStates, positions: Array) -> None:
+    def put(self, light: Light, states: States, positions: Array) -> None:
         """Add positions to the figure of M2."""
-        assert states.mirror_figure is not None
-        states.mirror_figure[: len(positions), 0, : self.terms] += positions @ self.surfaces() * MM_PER_NM
+        figure = states.deformations[M2]
+        assert figure is not None
+        figure[: len(positions), : self.terms] += positions @ self.surfaces() * MM_PER_NM
 
 
 def _grid(across: int) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:

@@ -9,7 +9,8 @@ from pydantic import Field
 from wavequake.chain.loops.block import Actuator, register
 from wavequake.chain.loops.light import Light
 from wavequake.optics.derivatives.central import DOFS
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.system import States
 
 # nm and nrad to mm and rad.
 UNITS = np.repeat([1e-6, 1e-9], 3)
@@ -30,7 +31,7 @@ class RigidM2(Actuator):
         """Return the degrees of freedom."""
         return self.dofs
 
-    def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+    def put(self, light: Light, states: States, positions: NDArray[np.float64]) -> None:
         """Add positions to the motion of M2."""
         places = [DOFS.index(one) for one in self.dofs]
-        states.surface_motion[: len(positions), 0, places] += positions * UNITS[places]
+        states.surface_motion[: len(positions), M2, places] += positions * UNITS[places]

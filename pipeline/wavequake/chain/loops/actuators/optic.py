@@ -11,7 +11,7 @@ from wavequake.chain.loops.block import Actuator, register
 from wavequake.chain.loops.light import Light
 from wavequake.errors import UserError
 from wavequake.optics.derivatives.central import DOFS
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.systems.system import States
 
 
 @register
@@ -64,7 +64,7 @@ class Stage(Actuator):
         moved[:, [DOFS.index(one) for one in self.dofs]] = 1e-9 * positions
         return {self.of: moved}
 
-    def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+    def put(self, light: Light, states: States, positions: NDArray[np.float64]) -> None:
         """Add positions to the motions of its surfaces."""
         places = [DOFS.index(one) for one in self.dofs]
         moved = light.movable[self.of][places] * UNITS[places][:, None, None]

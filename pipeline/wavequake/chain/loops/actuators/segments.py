@@ -10,7 +10,7 @@ from wavequake.chain.loops.block import Actuator, register
 from wavequake.chain.loops.light import Light
 from wavequake.control.sampled.channel import Dynamics, in_series, second_order
 from wavequake.optics.derivatives.central import DOFS
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.systems.system import States
 
 _UNITS = np.repeat([1e-6, 1e-9], 3)
 
@@ -70,7 +70,7 @@ class SegmentActuators(Actuator):
         """Return the degree of freedom and the segment, one degree of freedom after the other."""
         return tuple(f"{dof}[{name}]" for dof in self.dofs for name in light.layout.names)
 
-    def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+    def put(self, light: Light, states: States, positions: NDArray[np.float64]) -> None:
         """Add positions to the motions of the segments."""
         count, segments = len(positions), states.segment_motion.shape[1]
         for index, dof in enumerate(self.segment_dofs):
