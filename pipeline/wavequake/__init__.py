@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     )
     from wavequake.doors.telemetry import agreement, identify
     from wavequake.drawing.draw import draw
+    from wavequake.optics.light import trace
+    from wavequake.optics.segments.catalog import telescope
+    from wavequake.optics.systems.kinematics import rest_states
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.reduction.reduce import reduce
     from wavequake.viewer.animate import animate
@@ -94,6 +97,7 @@ __all__ = [
     "report",
     "rerun",
     "respond",
+    "rest_states",
     "retry",
     "run",
     "sensitivity",
@@ -102,6 +106,8 @@ __all__ = [
     "store_errors",
     "studies",
     "tail",
+    "telescope",
+    "trace",
     "try_firmware",
     "unstack",
     "verify",
@@ -145,6 +151,7 @@ _HOMES = {
     "reduce": "wavequake.reduction.reduce",
     "rerun": "wavequake.doors.stores",
     "respond": "wavequake.doors.models",
+    "rest_states": "wavequake.optics.systems.kinematics",
     "retry": "wavequake.doors.stores",
     "run": "wavequake.doors.studies",
     "sensitivity": "wavequake.workflows.sensitivity",
@@ -153,6 +160,8 @@ _HOMES = {
     "store_errors": "wavequake.doors.decisions",
     "studies": "wavequake.doors.studies",
     "tail": "wavequake.doors.studies",
+    "telescope": "wavequake.optics.segments.catalog",
+    "trace": "wavequake.optics.light",
     "try_firmware": "wavequake.doors.firmware",
     "unstack": "wavequake.campaign.store.grid",
     "verify": "wavequake.doors.studies",

@@ -42,6 +42,11 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
         If a number of the system is out of range, or the wavelength out of a glass' range.
     """
     require_system(system)
+    if system.segmented is not None:
+        raise UserError(
+            f"{system.primary.name} of {system.name} carries segments, which light meets one by one: "
+            "`wavequake.trace` follows it, `parent_system` is the system with one mirror"
+        )
     start = index = refractive_index(system.medium, wavelength_mm)
     elements = []
     for number, surface in enumerate(system.surfaces):

@@ -56,6 +56,11 @@ def telescope(name: str, **options: Any) -> OpticalSystem:
     ------
     UserError
         If the name or an option is unknown (names the nearest valid one), or an option is out of range.
+
+    Examples
+    --------
+    >>> telescope("tmt-18", gap=5.0)
+    <OpticalSystem tmt-18: 18 segments, 5 surfaces, 1 field, 1 wavelength>
     """
     builder = _BUILDERS.get(name) if isinstance(name, str) else None
     if builder is None:

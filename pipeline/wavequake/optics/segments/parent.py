@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavequake.optics.systems.system import OpticalSystem
+from wavequake.optics.systems.system import OpticalSystem, with_surface
 
 
 def parent_system(telescope: OpticalSystem, wavelength: float | None = None) -> OpticalSystem:
@@ -19,6 +19,6 @@ def parent_system(telescope: OpticalSystem, wavelength: float | None = None) -> 
     wavelength : float, optional
         mm; that of the telescope by default.
     """
-    stop, primary, *after = telescope.surfaces
-    waves = telescope.wavelengths if wavelength is None else np.array([wavelength])
-    return replace(telescope, surfaces=(stop, replace(primary, segments=None), *after), wavelengths=waves)
+    assert telescope.segmented is not None
+    whole = with_surface(telescope, telescope.segmented, replace(telescope.primary, segments=None))
+    return whole if wavelength is None else replace(whole, wavelengths=np.array([wavelength]))

@@ -13,7 +13,7 @@ from wavequake.optics.media.glasses import AIR, Medium, refractive_index
 from wavequake.optics.segments.layout import Segments
 from wavequake.optics.shapes.polygons import distance_from_origin
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening, Shape, ZernikeDeformation
-from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface, wavelength_of
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface, wavelength_of, with_surface
 
 Array = NDArray[np.float64]
 
@@ -61,8 +61,7 @@ def segmented_telescope(
 
 def with_segments(system: OpticalSystem, segments: Segments) -> OpticalSystem:
     """Return the system with other segments."""
-    stop, primary, *after = system.surfaces
-    return replace(system, surfaces=(stop, replace(primary, segments=segments), *after))
+    return with_surface(system, M2 - 1, replace(system.primary, segments=segments))
 
 
 def refractive_indices(system: OpticalSystem) -> Array:

@@ -229,6 +229,11 @@ def rest_states(system: OpticalSystem, instants: int = 1) -> States:
     ------
     UserError
         If the instants are no number from 0.
+
+    Examples
+    --------
+    >>> rest_states(telescope("tmt-18"), 3).segment_motion.shape  # doctest: +SKIP
+    (3, 18, 6)
     """
     require_kind(system, OpticalSystem, "the system")
     if whole(instants, "the number of instants") < 0:

@@ -4,7 +4,7 @@ The z axis runs along the incoming light and keeps its sense after a reflection,
 2018: a surface that follows an odd number of mirrors stands at smaller z.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 from weakref import WeakValueDictionary
 
@@ -114,7 +114,9 @@ class OpticalSystem:
     vignetting: tuple[tuple[float, float, float, float, float], ...] = ()
 
     def __repr__(self) -> str:
+        segments = () if self.segmented is None else (counted(len(self.segments), "segment"),)
         parts = (
+            *segments,
             counted(len(self.surfaces), "surface"),
             counted(len(self.fields), "field"),
             counted(len(self.wavelengths), "wavelength"),
@@ -163,6 +165,11 @@ class OpticalSystem:
         """Surfaces that can move together, such as the faces of a lens, by the name of what they are."""
         names = dict.fromkeys(one.body for one in self.surfaces if one.body)
         return {name: tuple(one.name for one in self.surfaces if one.body == name) for name in names}
+
+
+def with_surface(system: OpticalSystem, index: int, surface: Surface) -> OpticalSystem:
+    """Return the system with another surface in one place."""
+    return replace(system, surfaces=(*system.surfaces[:index], surface, *system.surfaces[index + 1 :]))
 
 
 def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> float:
