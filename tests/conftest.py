@@ -29,18 +29,21 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("ci", max_examples=25, deadline=None, derandomize=True, database=None)
 settings.load_profile("ci")
 
-# Files that take a minute and more, the longest first: the last file of a run shall be a short one.
+# Files that take half a minute and more, the longest first: the last file of a run shall be a short one.
 LONGEST = (
     "test_recorded_numbers.py",
     "test_docs.py",
-    "test_report_page.py",
-    "test_telemetry_lines.py",
     "test_faults.py",
+    "test_report_page.py",
+    "test_object_stores.py",
     "test_kept_reports.py",
-    "test_allow_campaigns.py",
-    "test_kept_histories.py",
+    "test_suspects.py",
+    "test_telemetry_lines.py",
+    "test_large_stores.py",
+    "test_first_rays.py",
     "test_kept_images.py",
     "test_sequential_contract.py",
+    "test_mirror_exposure.py",
 )
 # Where tests look at the figures of pages.
 DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_telescope_loop.py")

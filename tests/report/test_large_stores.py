@@ -26,7 +26,7 @@ from wavequake.workflows.run import run_study
 from wavequake.workflows.segments import disturbance as segment_disturbance
 from wavequake.workflows.study import load_study
 
-CASES, CHUNK = 8_000, 500
+CASES, CHUNK = 5_000, 500
 MEASURED = """
 import os, sys
 from wavequake import cli
@@ -84,7 +84,7 @@ def stores(tmp_path_factory):
     ids=["compare", "report"],
 )
 def test_commands_take_a_part_of_the_store_into_memory_at_a_time(stores, words, most):
-    """The images of one store are 250 MB, those that are compared 500 MB; on a machine of 16 processors."""
+    """The images of one store are 160 MB, those that are compared 320 MB; on a machine of 16 processors."""
     command = [sys.executable, "-c", MEASURED, stores, *words]
     # One arena of the C library: with one per thread, what it keeps of freed memory varies by 30 MB.
     alone = {**os.environ, "MALLOC_ARENA_MAX": "1", "DASK_NUM_WORKERS": "16"}

@@ -173,24 +173,19 @@ def test_a_disk_that_is_really_full_loses_nothing(tmp_path, small_disk):
     assert verify_store(path).ok
 
 
-def test_a_driver_with_workers_says_nothing_but_its_result(tmp_path):
-    driver = toy.driver(
-        tmp_path / "s", {"once": [25], "crash": [3], "folder": str(tmp_path)}, on="local", workers=2
-    )
-    assert driver.communicate(timeout=180) == ("40\n", "")
-
-
 def test_what_workers_print_is_in_the_log_alone(tmp_path):
-    """Case 3 kills its worker twice, and then a process of its own.
+    """Case 3 kills its worker twice, and then a process of its own; case 35 kills its worker once.
 
-    A worker that it kills may hold a chunk that is done and not yet handed in: that one speaks again.
+    The driver says nothing but its result. A worker that is killed may hold a chunk that is done and not yet
+    handed in: that one speaks again.
     """
     begun = tmp_path / "begun"
-    options = {"say": [14, 27], "crash": [3], "count": str(begun)}
+    options = {"say": [14, 27], "crash": [3], "once": [35], "folder": str(tmp_path), "count": str(begun)}
     driver = toy.driver(tmp_path / "s", options, on="local", workers=2)
     assert driver.communicate(timeout=180) == ("40\n", "")
     (file,) = (tmp_path / "s" / "log").iterdir()
     log = file.read_text()
+    assert (tmp_path / "died-35").exists()
     times = sum(case in ("14", "27") for case in begun.read_text().split())
     assert times >= 2
     for words in ("a sentence of Python", r"\x1b[2Jlast words of C"):
