@@ -18,9 +18,9 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.optics.rays.pupils import PupilRays, grid_rays, on_glass, segment_rays
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import prepare
-from wavequake.optics.segments.states import SurfaceStates, rest
-from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.segments.wavefront import measure
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem, States
 
 WAVELENGTH = 550e-6  # mm
 SPACING = 60.0  # of the dense grid, mm
@@ -29,11 +29,10 @@ RIGID = {"piston": 2, "tip": 3, "tilt": 4}
 FIGURES = range(4, 12)
 
 
-def states(system: SegmentedTelescope, kind: str) -> SurfaceStates:
+def states(system: OpticalSystem, kind: str) -> States:
     """One random motion or figure per instant and segment."""
-    segments = len(system.segments)
-    drawn = rest(TILE, segments, len(system.surfaces), FIGURES[-1])
-    values = np.random.default_rng(7).standard_normal((TILE, segments))
+    drawn = rest_states(system, TILE)
+    values = np.random.default_rng(7).standard_normal((TILE, len(system.segments)))
     if kind in RIGID:
         drawn.segment_motion[:, :, RIGID[kind]] = values * (20e-6 if kind == "piston" else 20e-9)
     else:
@@ -41,13 +40,13 @@ def states(system: SegmentedTelescope, kind: str) -> SurfaceStates:
     return drawn
 
 
-def errors(system: SegmentedTelescope, rays: PupilRays, kinds: list[str]) -> NDArray[np.float64]:
+def errors(system: OpticalSystem, rays: PupilRays, kinds: list[str]) -> NDArray[np.float64]:
     """Raw and fitted WFE (kind, 2) in nm, rms over the instants."""
     prepared = prepare(system, rays, WAVELENGTH, 45, figure_terms=FIGURES[-1])
     device = choose_device("auto")
     found = []
     for kind in kinds:
-        wavefront = measure(prepared, states(system, kind), device)
+        wavefront = measure(prepared, states(prepared.system, kind), device)
         found.append(
             [np.sqrt(np.mean(rms**2)) * WAVELENGTH * 1e6 for rms in (wavefront.rms_raw, wavefront.rms)]
         )

@@ -21,10 +21,11 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.segmented import trace_segmented
 from wavequake.optics.rays.pupils import segment_rays
 from wavequake.optics.segments.catalog import telescope
-from wavequake.optics.segments.kinematics import field_directions, segment_poses, surface_poses
-from wavequake.optics.segments.prepared import chief_rays, prepare
-from wavequake.optics.segments.states import SurfaceStates
-from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.segments.kinematics import after_m1, relative_transforms, segment_poses
+from wavequake.optics.segments.prepared import chief_rays, directions, prepare
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem
 
 TILES = 20
 REPEATS = 7
@@ -32,22 +33,20 @@ SURFACES = 4
 WAVELENGTH = 550e-6
 
 
-def workload(
-    system: SegmentedTelescope, tiles: int, figure_terms: int = 0, scale: float = 1.0
-) -> dict[str, Any]:
+def workload(system: OpticalSystem, tiles: int, figure_terms: int = 0, scale: float = 1.0) -> dict[str, Any]:
     """Arguments of `trace_segmented` for random motions of some 10 nm and 10 nrad, times `scale`."""
     prepared = prepare(system, segment_rays(system.segments, 3), WAVELENGTH, 15, figure_terms)
     random = np.random.default_rng(1)
-    batch, count, moving = tiles * TILE, len(system.segments), len(system.surfaces)
-    states = SurfaceStates(
-        scale * random.normal(0.0, 3e-5, (batch, count, 6)) * [1, 1, 1, 1e-3, 1e-3, 1e-3],
-        scale * random.normal(0.0, 1e-5, (batch, count, figure_terms)),
-        scale * random.normal(0.0, 1e-4, (batch, moving, 6)) * [1, 1, 1, 1e-3, 1e-3, 1e-3],
-        scale * random.normal(0.0, 1e-7, (batch, 2)),
-    )
+    states = rest_states(prepared.system, tiles * TILE)
+    small = np.array([1, 1, 1, 1e-3, 1e-3, 1e-3])
+    moving = states.surface_motion[:, M2:]
+    states.segment_motion[:] = scale * random.normal(0.0, 3e-5, states.segment_motion.shape) * small
+    states.segment_figure[:] = scale * random.normal(0.0, 1e-5, states.segment_figure.shape)
+    moving[:] = scale * random.normal(0.0, 1e-4, moving.shape) * small
+    states.line_of_sight[:] = scale * random.normal(0.0, 1e-7, states.line_of_sight.shape)
     figure = None
     if figure_terms:
-        terms = states.segment_figure.reshape(tiles, TILE, count, figure_terms).transpose(0, 2, 3, 1)
+        terms = states.segment_figure.reshape(tiles, TILE, -1, figure_terms).transpose(0, 2, 3, 1)
         figure = prepared.figure_matrix @ terms
     return {
         "train": prepared.train,
@@ -57,8 +56,8 @@ def workload(
         "candidates": prepared.candidates,
         "segment_poses": segment_poses(system.segments, states.segment_motion),
         "figure": figure,
-        "surface_poses": surface_poses(system, states.surface_motion),
-        "directions": field_directions(states.field),
+        "surface_poses": relative_transforms(*after_m1(system, states.surface_motion)),
+        "directions": directions(prepared, states),
         "chief": chief_rays(prepared, states),
     }
 
@@ -69,20 +68,20 @@ def first_tile(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def batoid_tracer(
-    system: SegmentedTelescope, arguments: dict[str, Any], figure_terms: int = 0
+    system: OpticalSystem, arguments: dict[str, Any], figure_terms: int = 0
 ) -> Callable[[], Any] | None:
     """Return a function that traces the rays once through the resting telescope, or None without batoid."""
     try:
         import batoid
     except ImportError:
         return None
-    primary = batoid.Quadric(system.primary_radius, system.primary_conic)
+    primary = batoid.Quadric(system.primary.shape.radius, system.primary.shape.conic)
     if figure_terms:
         heights = np.concatenate([[0.0], np.random.default_rng(1).normal(0.0, 1e-5, figure_terms)])
-        figure = batoid.Zernike(heights, R_outer=system.pupil_outer, R_inner=system.pupil_inner)
+        figure = batoid.Zernike(heights, R_outer=system.annulus.outer, R_inner=system.annulus.inner)
         primary = batoid.Sum([primary, figure])
     items = [batoid.Mirror(primary, name="M1")]
-    for surface in system.surfaces:
+    for surface in system.after_primary:
         flat = np.isinf(surface.shape.radius)
         shape = batoid.Plane() if flat else batoid.Quadric(surface.shape.radius, surface.shape.conic)
         place = batoid.CoordSys(np.array(surface.position), np.array(surface.rotation))
@@ -95,7 +94,7 @@ def batoid_tracer(
     return lambda: optic.trace(rays.copy())
 
 
-def difference_to_batoid(system: SegmentedTelescope, trace: Callable[[], Any]) -> tuple[float, float]:
+def difference_to_batoid(system: OpticalSystem, trace: Callable[[], Any]) -> tuple[float, float]:
     """Largest differences of image position and OPD (mm) in the resting telescope, kernel against batoid."""
     rest = workload(system, 1, scale=0.0)
     found = trace_segmented(**rest, device=list_devices()[0])

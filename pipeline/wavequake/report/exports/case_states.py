@@ -26,6 +26,8 @@ from wavequake.workflows.mirrors import bench as mirrors
 from wavequake.workflows.mirrors.base import driven
 from wavequake.workflows.mirrors.optics import displacements_mm, with_deformation
 from wavequake.workflows.mirrors.residual import coordinates_of, grid_of, left_by
+from wavequake.workflows.mirrors.study import TraceStudy
+from wavequake.workflows.segments import mor, mor_bench
 from wavequake.workflows.segments.bench import bench_of as segment_bench
 from wavequake.workflows.segments.disturbance import draw as draw_segments
 from wavequake.workflows.segments.launches import slots, surface_states
@@ -106,8 +108,8 @@ def _of_loop(study: str, case: int, under: str) -> tuple[OpticalSystem, States]:
 
 
 def _of_mirror(text: str, case: int, under: str) -> tuple[OpticalSystem, States]:
-    """Return the figure of an excited mirror as it is traced: polynomials, and on a grid what they leave."""
-    study = mirrors.trace_study_of(text)
+    """Return the figure of an excited mirror: polynomials, and, as traced, what they leave on a grid."""
+    study = mirrors.any_study_of(text)
     excitation = study.excitation[_named(under, [one.name for one in study.excitation], "excitation")]
     model, variant = mirrors.cases_of(study)[case]
     bench = mirrors.bench_of(text, model)
@@ -117,7 +119,7 @@ def _of_mirror(text: str, case: int, under: str) -> tuple[OpticalSystem, States]
     coordinates = coordinates_of(response)
     motion, left = motion_fit(optics.surface, displacements_mm(reduced.surface.T)), left_by(optics, reduced)
     numbers, system = figures(motion, coordinates), optics.prepared.system
-    if left.share(coordinates) > study.optics.residual_limit:
+    if isinstance(study, TraceStudy) and left.share(coordinates) > study.optics.residual_limit:
         grid = grid_of(optics)
         rough = residual_grid(optics.surface, left.heights, grid).reshape(len(left.heights), -1)
         numbers, system = np.hstack([numbers, coordinates @ rough]), with_deformation(optics, grid).system
@@ -128,6 +130,8 @@ _SYSTEMS: dict[str, Callable[[str, int, str], tuple[OpticalSystem, States]]] = {
     "system-disturbance": _of_system,
     "system-loop": _of_loop,
     "mirror-trace": _of_mirror,
+    "mirror-mor": _of_mirror,
+    "mirror-exposure": _of_mirror,
 }
 
 
@@ -176,8 +180,20 @@ def _of_telescope(text: str, case: int, under: str) -> _Segmented:
     return _Segmented(control.prepared.system, states, count, [control.prepared.wavelength])
 
 
+def _of_shaken(text: str, case: int, under: str) -> _Segmented:
+    study, model = mor_bench.study_of(text), mor_bench.model_of(text)
+    disturbed, variant = mor.cases_of(study)[case]
+    number = _named(under, [one.name for one in study.excitation], "excitation")
+    which = mor_bench.chosen_segments(study, model.bench, disturbed)
+    chosen = mor_bench.reduced(model, variant)
+    moved = mor_bench.motions(study, model, chosen, which.tolist())[number]
+    states = mor.surface_states(model.bench, which, moved)
+    return _Segmented(model.bench.system, states, len(moved), [model.bench.prepared.wavelength])
+
+
 _SEGMENTED: dict[str, Callable[[str, int, str], _Segmented]] = {
     "segment-disturbance": _of_segments,
     "telescope-exposure": _of_exposure,
     "telescope-loop": _of_telescope,
+    "segment-mor": _of_shaken,
 }
