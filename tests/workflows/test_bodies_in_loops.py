@@ -232,6 +232,18 @@ def test_a_node_moves_with_its_body(tmp_path):
         assert_allclose(columns[f"top.a.{dof}"], moved[:, k], atol=1e-6 * np.abs(moved).max())
 
 
+def test_a_stage_moves_the_nodes_of_the_body_that_it_moves(tmp_path):
+    """As a rigid body about the vertex of M2, whose axes are those of the telescope; its cell stands still."""
+    stage = HEAVY.replace('of = "M2"\ndofs = ["dx", "dy"]', 'of = "top"\ndofs = ["dx", "rz"]')
+    optics = optics_of(study_of(tmp_path, CELL, TOP, SPIDER, NODES, PUMP.format(at="top"), stage))
+    nodes = optics.sights["stage"][len(optics.light) - len(optics.light.nodes) :]
+    found = dict(zip(optics.light.nodes, nodes, strict=True))
+    assert_allclose([found["top.a.dx"], found["top.a.dy"]], [[1.0, 0.0], [0.0, 1.5]], atol=1e-9)
+    assert_allclose([found["top.c.dx"], found["cell.dz"]], [[1.0, -1.5], [0.0, 0.0]], atol=1e-9)
+    mirror = optics.sights["stage"][optics.light.optical + 54 :][:6]
+    assert_allclose(mirror, [[1, 0], [0, 0], [0, 0], [0, 0], [0, 0], [0, 1]], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("parts", "words"),
     [
