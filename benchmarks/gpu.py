@@ -36,7 +36,7 @@ from wavequake.kernels.trace.segmented import trace_segmented
 from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.segments.catalog import telescope
-from wavequake.optics.systems.system import SystemStates
+from wavequake.optics.systems.system import States
 
 REPEATS = 9
 SURFACES = 4
@@ -106,7 +106,7 @@ def trace_jobs(device: Device) -> tuple[dict[str, Callable[[], Any]], dict[str, 
         system, states = four_surfaces(terms), disturbed(terms, BATCH)
         sequence = pack(system, WAVELENGTH)
         motion, heights = states.surface_motion, states.deformations[0]
-        still = SystemStates(0 * motion[:1], (heights[:1], None, None, None), np.zeros((1, 2)))
+        still = States(0 * motion[:1], (heights[:1], None, None, None), np.zeros((1, 2)))
         for name, rays, light in (
             (f"10^6 rays, {terms} terms", sunflower(RAYS), moving(system, still)),
             (f"1000 instants of 2000 rays, {terms} terms", sunflower(BATCH_RAYS), moving(system, states)),

@@ -38,7 +38,7 @@ from wavequake.optics.segments.catalog import telescope as bundled
 from wavequake.optics.segments.wavefront import los_eq339
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.kinematics import moved_poses
-from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.optics.wavefronts.fits import fit_instants, weighted_fit
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def telescope(terms: int) -> OpticalSystem:
     return replace(system, surfaces=(deformed, *others), fields=system.fields[:1])
 
 
-def disturbed(terms: int, instants: int) -> SystemStates:
+def disturbed(terms: int, instants: int) -> States:
     """Return states of M1 and M2 that shift and tilt, M1 with terms of 20 nm rms from j = 4."""
     heights = np.random.default_rng(1).normal(0.0, 2e-5, (instants, terms))
     heights[:, :3] = 0.0
@@ -82,7 +82,7 @@ def disturbed(terms: int, instants: int) -> SystemStates:
     motion = np.zeros((instants, 4, 6))
     motion[:, :2, :3] = random.normal(0.0, 1e-3, (instants, 2, 3))
     motion[:, :2, 3] = random.normal(0.0, 1e-7, (instants, 2))
-    return SystemStates(motion, (heights, None, None, None), np.zeros((instants, 2)))
+    return States(motion, (heights, None, None, None), np.zeros((instants, 2)))
 
 
 def sunflower(count: int) -> Rays:
@@ -147,7 +147,7 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
     heights, motion = states.deformations[0], states.surface_motion
     many, few, some = sunflower(RAYS), sunflower(BATCH_RAYS), sunflower(BATOID_RAYS)
     sequence = pack(system, WAVELENGTH)
-    still = SystemStates(0 * motion[:1], (heights[:1], None, None, None), np.zeros((1, 2)))
+    still = States(0 * motion[:1], (heights[:1], None, None, None), np.zeros((1, 2)))
     rest = moving(system, still)
     large = trace_sequence(sequence, many, rest, device, outputs=WANTED)
     # Paths that count from one at rest are differences already.
@@ -204,7 +204,7 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
 
 
 def batch_work(
-    system: OpticalSystem, states: SystemStates, sequence: Sequence, rays: Rays, device: Device
+    system: OpticalSystem, states: States, sequence: Sequence, rays: Rays, device: Device
 ) -> tuple[Callable[[], Any], dict[str, list[float]]]:
     """Return what traces and measures a batch, and the seconds that each call takes, by what it does."""
     x, y = rays.position[:2] / OUTER

@@ -10,6 +10,7 @@ from small_carried import CELL, M2_ELASTIC, SPIDER, TOP
 import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.segments.telescope import M2
 from wavequake.workflows.exposures.telescope_control import trace
 from wavequake.workflows.loops import telescope_loop
 from wavequake.workflows.loops.loop_margins import loops_of
@@ -105,7 +106,7 @@ def test_a_mirror_on_springs_answers_as_an_oscillator(tmp_path):
         w = np.sqrt(4 * np.array([2e7, 3e7]) / 3000.0)
         wanted = -(s**2) / (s**2 + 0.02 * w * s + w**2) * 100.0 / 3000.0
         assert_allclose(found[:2], np.diag(wanted), rtol=1e-8, atol=1e-9 * np.abs(wanted).max())
-        light = optics.moved[0] @ found[:6]
+        light = optics.moved[M2] @ found[:6]
         assert_allclose(answer_of(answer, s)[: optics.light.optical], light, atol=1e-9 * np.abs(light).max())
 
 
@@ -124,7 +125,7 @@ def test_bodies_and_a_table_of_modes_are_one_loop(tmp_path):
     (table,) = loops_of(study_of(tmp_path, modes, history, LOOP.format(mass="")))
     (alone,) = loops_of(study_of(tmp_path, history, LOOP.format(mass="")))
     for name in ("peak", "gain_up", "growth", "growth_hz"):
-        assert getattr(bodies, name) == pytest.approx(getattr(table, name), rel=2e-3)
+        assert getattr(bodies, name) == pytest.approx(getattr(table, name), rel=2e-4)
     assert bodies.peak > 1.05 * alone.peak
     assert bodies.growth_hz == pytest.approx(25.99, abs=0.01)
 
@@ -230,6 +231,18 @@ def test_a_node_moves_with_its_body(tmp_path):
     moved = m2[:, :3] + np.cross(m2[:, 3:], arm)
     for k, dof in enumerate(("dx", "dy", "dz")):
         assert_allclose(columns[f"top.a.{dof}"], moved[:, k], atol=1e-6 * np.abs(moved).max())
+
+
+def test_a_stage_moves_the_nodes_of_the_body_that_it_moves(tmp_path):
+    """As a rigid body about the vertex of M2, along the axes of the telescope; its cell stands still."""
+    stage = HEAVY.replace('of = "M2"\ndofs = ["dx", "dy"]', 'of = "top"\ndofs = ["dx", "rz"]')
+    optics = optics_of(study_of(tmp_path, CELL, TOP, SPIDER, NODES, PUMP.format(at="top"), stage))
+    nodes = optics.sights["stage"][len(optics.light) - len(optics.light.nodes) :]
+    found = dict(zip(optics.light.nodes, nodes, strict=True))
+    assert_allclose([found["top.a.dx"], found["top.a.dy"]], [[1.0, 0.0], [0.0, 1.5]], atol=1e-9)
+    assert_allclose([found["top.c.dx"], found["cell.dz"]], [[1.0, -1.5], [0.0, 0.0]], atol=1e-9)
+    mirror = optics.sights["stage"][optics.light.optical + 54 :][:6]
+    assert_allclose(mirror, [[1, 0], [0, 0], [0, 0], [0, 0], [0, 0], [0, 1]], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from wavequake.mechanics.assembly.answers import watching
 from wavequake.mechanics.assembly.bodies import GROUND
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.optics.derivatives.central import DOFS
-from wavequake.workflows.bodies.made import MM_PER_M
+from wavequake.workflows.bodies.made import MM_PER_M, transported
 from wavequake.workflows.bodies.sections import BodySection
 from wavequake.workflows.segments.bench import Bench
 from wavequake.workflows.segments.launches import states_at_rest
@@ -147,6 +147,26 @@ def with_nodes(names: tuple[str, ...], sensors: Sequence[Sensor], light: Light) 
     found = tuple(label for label in ends if any(fnmatchcase(label, pattern) for _, pattern in read))
     plant = watching(plant, {NODE + node: node for node in dict.fromkeys(ends[label] for label in found)})
     return plant, replace(light, layout=replace(light.layout, plant=plant), nodes=(*names, *found))
+
+
+def moved_nodes(one: Actuator, bench: Bench, light: Light) -> Array:
+    """Return how nodes that sensors read move, nm and nrad, per position of an actuator, (N, p).
+
+    Those of a body that it moves do; all others stand still, but for what the bodies answer.
+    """
+    found = np.zeros((len(light.nodes), len(one.channels(light))))
+    name, plant = getattr(one, "of", ""), light.layout.plant
+    optical = next((body for body in bench.bodies.optical if body.name == name), None)
+    if optical is None or plant is None:
+        return found
+    (motion,) = one.motion(np.eye(found.shape[1])).values()
+    turned = np.kron(np.eye(2), optical.rotation) @ motion.T
+    for row, label in enumerate(light.nodes):
+        node, _, dof = label.rpartition(".")
+        if node in plant.points and (node == name or node.startswith(f"{name}.")):
+            moved = transported(turned, optical.point / MM_PER_M, np.eye(3), plant.points[node])
+            found[row] = 1e9 * moved[DOFS.index(dof)]
+    return found
 
 
 def movable_bodies(bench: Bench) -> dict[str, Array]:

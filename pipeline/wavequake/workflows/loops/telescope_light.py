@@ -29,7 +29,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.prepared import prepared
 from wavequake.workflows.bodies.made import transported
-from wavequake.workflows.bodies.stages import NODE, movable_bodies, stages_push, with_nodes
+from wavequake.workflows.bodies.stages import NODE, movable_bodies, moved_nodes, stages_push, with_nodes
 from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, trace
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
@@ -115,10 +115,8 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
     if study.mode or plant is not None or any(one.sees == "bodies" for one in study.sensor):
         light = replace(light, bodies_too=True)
         for one in study.actuator:
-            by_bodies = _moved_bodies(control, light, one)
-            sights[one.name] = np.vstack(
-                [sights[one.name], by_bodies, np.zeros((len(light.nodes), by_bodies.shape[1]))]
-            )
+            moves = _moved_bodies(control, light, one), moved_nodes(one, bench, light)
+            sights[one.name] = np.vstack([sights[one.name], *moves])
     structure = carrying(study.mode, light.layout) if study.mode else None
     optics = Optics(control, model, light, sights, moved, deformed, structure, (), times)
     answers = [] if structure is None else [_of_structure(text, optics, structure)]
