@@ -226,7 +226,7 @@ def test_words_for_several_mirrors_and_other_losses():
     status = np.zeros(18 * 36, dtype=np.int8)
     status[0], status[5:7], status[300:600] = GAP, lost_at(VIGNETTED, 0), lost_at(VIGNETTED, 1)
     found = stopped_at_rest(prepared, status)
-    first, second = (surface.name for surface in system.surfaces[:2])
+    first, second = (surface.name for surface in system.after_primary[:2])
     assert found.words() == (
         f"{first} stops 2 of 648 rays (< 1 %), {second} stops 300 of 648 rays (46 %), "
         "1 of 648 rays (< 1 %) pass beside the glass at rest"

@@ -100,7 +100,7 @@ def test_distorted_corners_come_from_a_file_and_belong_to_the_study(tmp_path):
     with pytest.raises(UserError, match="corners_csv belongs to the telescope tmt or tmt-18 or jwst"):
         study_with(plain, monolith)
     with pytest.raises(UserError, match="primary_conic belongs to the telescope custom, not to tmt-18"):
-        study_with(plain, {"telescope.primary.shape.conic": -2.0})
+        study_with(plain, {"telescope.primary_conic": -2.0})
 
 
 def test_a_number_of_rays_of_another_sampling_is_named(newton):
@@ -208,7 +208,7 @@ def test_a_wrong_conic_is_told_from_a_wrong_distance(newton, monkeypatch, tmp_pa
     (tmp_path / "newton.toml").write_text(CUSTOM.replace("figure_nm", "# figure_nm"))
     still = load_study(tmp_path / "newton.toml")
     for conic, early in ((100.0, True), (20.0, False)):
-        study = study_with(still, {"telescope.primary.shape.conic": conic})
+        study = study_with(still, {"telescope.primary_conic": conic})
         words = (
             r"waves rms.: axial rays of M1's rim meet image .* beside those of its center; mend a conic"
             if early
@@ -220,11 +220,11 @@ def test_a_wrong_conic_is_told_from_a_wrong_distance(newton, monkeypatch, tmp_pa
 
 def test_a_sphere_has_the_aberration_of_the_textbook(newton):
     """The rim passes the paraxial focus a^3 / (2 R^2) beside the axis; the rms is 0.298 a^4 / (4 R^3)."""
-    study = study_with(newton, {"telescope.primary.shape.conic": 0.0})
+    study = study_with(newton, {"telescope.primary_conic": 0.0})
     system = build_telescope(study)
     a, radius = system.annulus.outer, 20000.0
     assert rim_aberration(system) == pytest.approx(a**3 / (2.0 * radius**2), rel=3e-3)
-    (said,) = out_of_focus(study_with(newton, {"telescope.primary.shape.conic": 9.0}))
+    (said,) = out_of_focus(study_with(newton, {"telescope.primary_conic": 9.0}))
     rms = 2.0 / (3.0 * np.sqrt(5.0)) * 10.0 * a**4 / (4.0 * radius**3) / 550e-6
     assert f"({rms:.2g}" in said or f"({rms:.3g} waves rms)" in said
 

@@ -15,7 +15,7 @@ from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.model import Integers
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.layout import is_monolithic
-from wavequake.optics.segments.telescope import footprints
+from wavequake.optics.segments.telescope import M2, footprints
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.report.at_hand import device_at_hand
 from wavequake.viewer.chosen import worst_cases
@@ -164,7 +164,7 @@ def _m2(stage: Stage) -> int:
 
 def m2_shapes(control: ControlBench, stage: Stage, terms: int) -> Array:
     """Return how M2's corners move, (terms, V, 3), by one metre of each Noll coefficient from 2."""
-    surface = control.bench.system.surfaces[0]
+    surface = control.bench.system.surfaces[M2]
     on_m2 = stage.body == _m2(stage)
     local = (stage.points[on_m2] * TO_SKY * MM_PER_M - surface.position) @ surface.rotation
     x, y = local[:, :2].T / footprints(control.bench.system)[0]
