@@ -60,10 +60,23 @@ def test_choice_keeps_its_order_and_drops_repetitions(deck):
     assert_array_equal(chosen_nodes(mesh, [23, "top", 11], "interfaces"), [6, 4, 5, 7, 0])
 
 
+def test_what_calculix_leaves_out_or_passes_over(tmp_path):
+    """As in its test_channeljoint1a (coordinates), test_dloadlinIf (nodes) and decks with directed beams."""
+    (tmp_path / "d.inp").write_text(
+        "*NODE\n1\n2, 1.5\n3,2.,0.,\n4, ,3.\n5,1.,2.,3.\n"
+        "*ELEMENT, TYPE=B31\n1, 1, 2, 5\n2, 2, 3, 5\n*ELEMENT, TYPE=C3D4\n3,1,2,\n3,4,5\n"
+    )
+    mesh = read_mesh(tmp_path / "d.inp")
+    assert_array_equal(mesh.points, [[0, 0, 0], [1.5, 0, 0], [2, 0, 0], [0, 3, 0], [1, 2, 3]])
+    assert_array_equal(mesh.cells["line"], [[1, 2], [2, 3]])
+    assert_array_equal(mesh.cells["tetra"], [[1, 2, 3, 4]])
+
+
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
-        (" 12, 1, 0, 0", " 12, 1, 0", "block.inp, line 5: 4 numbers expected"),
+        (" 12, 1, 0, 0", " 12, 1, 0, 0, 5", "block.inp, line 5: 4 numbers expected"),
+        (" 12, 1, 0, 0", " 12, 1, O, 0", "block.inp, line 5: 4 numbers expected"),
         ("21, 22, 23, 24\n", "21, 22, 23\n", "block.inp, line 12: elements of 8 nodes expected"),
         ("BOTTOM, 21", "BOTOM, 21", "line 19: the node set 'BOTOM' is not defined before"),
         (" 14, 0, 1, 0", " 13, 0, 1, 0", "defines a node number twice"),

@@ -140,19 +140,38 @@ def _kind(name: str) -> tuple[str, int]:
 
 
 def _padded(data: bytes, source: str, line: int) -> Array:
-    """Return number and three coordinates of each node; a missing z is 0."""
-    width = len(data.split(b"\n", 1)[0].strip().rstrip(b",").split(b","))
-    if not 3 <= width <= 4:
-        raise UserError(f"{source}, line {line}: a node needs a number and two or three coordinates")
-    table = numbers(data, source, width, line)
-    return table if width == 4 else np.column_stack([table, np.zeros(len(table))])
+    """Return number and three coordinates of each node; those that are left out are 0."""
+    rows = data.split(b"\n")
+    if len(data.replace(b",", b" ").split()) != 4 * len(rows):
+        rows = [row if len(row.replace(b",", b" ").split()) == 4 else _filled(row) for row in rows]
+    return numbers(b"\n".join(rows), source, 4, line)
+
+
+def _filled(row: bytes) -> bytes:
+    fields = [field.strip() or b"0" for field in row.strip(b", ").split(b",")]
+    return b",".join(fields + [b"0"] * (4 - len(fields)))
 
 
 def _elements(data: bytes, count: int, source: str, line: int) -> Integers:
-    """Return numbers and nodes of elements, one a row; an element may go over several lines."""
+    """Return numbers and nodes of elements, one a row.
+
+    An element may go over several lines, and more may stand on the last of them, as beams have the node of
+    their direction there: CalculiX passes it over.
+    """
     try:
         words = np.array(data.replace(b",", b" ").split(), dtype=np.bytes_).astype(np.int64)
-        return words.reshape(-1, count + 1)
+        first = len(data.partition(b"\n")[0].replace(b",", b" ").split())
+        if first <= count + 1 and not len(words) % (count + 1):
+            return words.reshape(-1, count + 1)
+        rows, have = [], list[int]()
+        for row in data.split(b"\n"):
+            have += map(int, row.replace(b",", b" ").split())
+            if len(have) > count:
+                rows.append(have[: count + 1])
+                have = []
+        if have:
+            raise ValueError(f"element {have[0]} has {len(have) - 1}")
+        return np.array(rows, dtype=np.int64)
     except ValueError as error:
         raise UserError(
             f"{source}, line {line}: elements of {count} nodes expected ({error}); the file may be cut off"

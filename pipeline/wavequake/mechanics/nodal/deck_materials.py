@@ -81,17 +81,21 @@ def _plain(word: str) -> str:
 
 def _mat1(card: Card, where: str) -> DeckMaterial:
     """Return MAT1: two of E, G and NU give the third (MSC Nastran Quick Reference Guide)."""
-    young, shear, poisson, density, expansion = (
-        real(word, where) if word else None for word in card.fields[1:6]
-    )
-    if poisson is None and young and shear:
-        poisson = young / (2.0 * shear) - 1.0
-    if young is None and shear is not None and poisson is not None:
-        young = 2.0 * (1.0 + poisson) * shear
-    given = {"expansion": expansion, "poisson": poisson, "modulus": young, "density": density}
-    return DeckMaterial(
-        f"MAT1 {_plain(card.fields[0])}", {name: value for name, value in given.items() if value is not None}
-    )
+    given: dict[str, float] = {}
+    lacks: dict[str, str] = {}
+    for name, word in zip(
+        ("modulus", "shear", "poisson", "density", "expansion"), card.fields[1:6], strict=True
+    ):
+        try:
+            given |= {name: real(word, where)} if word else {}
+        except UserError as error:  # a place holder, perhaps: whoever gives a value needs none here
+            lacks[name] = f"cannot be read ({error})"
+    shear = given.pop("shear", None)
+    if shear and "modulus" in given:
+        given.setdefault("poisson", given["modulus"] / (2.0 * shear) - 1.0)
+    if shear and "poisson" in given:
+        given.setdefault("modulus", 2.0 * (1.0 + given["poisson"]) * shear)
+    return DeckMaterial(f"MAT1 {_plain(card.fields[0])}", given, lacks)
 
 
 def _unlike(name: str, why: str) -> DeckMaterial:
