@@ -233,7 +233,7 @@ def test_a_node_moves_with_its_body(tmp_path):
 
 
 def test_a_stage_moves_the_nodes_of_the_body_that_it_moves(tmp_path):
-    """As a rigid body about the vertex of M2, whose axes are those of the telescope; its cell stands still."""
+    """As a rigid body about the vertex of M2, with the axes of the telescope; its cell stands still."""
     stage = HEAVY.replace('of = "M2"\ndofs = ["dx", "dy"]', 'of = "top"\ndofs = ["dx", "rz"]')
     optics = optics_of(study_of(tmp_path, CELL, TOP, SPIDER, NODES, PUMP.format(at="top"), stage))
     nodes = optics.sights["stage"][len(optics.light) - len(optics.light.nodes) :]
