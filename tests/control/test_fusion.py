@@ -143,3 +143,23 @@ def test_a_run_with_two_sensors_is_that_of_the_models_by_periods():
         commands.append(own.c @ x + own.d @ y)
         x, z = own.a @ x + own.b @ y, plant.a @ z + plant.b @ commands[-1]
     np.testing.assert_allclose(got, np.ravel(commands), rtol=1e-9, atol=1e-12)
+
+
+def test_a_reading_that_sees_nothing_changes_nothing():
+    """Its own weight is zero, whatever its electronics; the others are those without it."""
+    a, g, positions = oscillators()
+    rows = [one @ positions for one in SEES] + [np.zeros((1, 4))]
+    shows = (RIGID, RIGID, acceleration(50.0, 0.7))
+    seen = [
+        Seen(one, np.zeros((len(one), 1)), np.zeros((len(one), 0)), how, noise)
+        for one, how, noise in zip(rows, shows, (*NOISE, 0.2), strict=True)
+    ]
+    timing = Timing(PERIOD, PERIOD, 1, LATE)
+    less, more = (
+        fused(Known(a, g, TARGET @ positions), some, RIGID, timing, (), np.zeros((0, 1)))
+        for some in (seen[:2], seen)
+    )
+    hertz = np.array([1.0, 6.0, 30.0])
+    found, wanted = (frequency_response(one, 2 * np.pi * hertz) for one in (more, less))
+    np.testing.assert_allclose(found[..., :3], wanted, atol=1e-9 * np.abs(wanted).max())
+    np.testing.assert_allclose(found[..., 3], 0.0, atol=1e-12 * np.abs(wanted).max())

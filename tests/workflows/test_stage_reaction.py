@@ -13,7 +13,7 @@ from wavequake.mechanics.assembly.links import End, Link
 from wavequake.mechanics.assembly.plant import plant
 from wavequake.workflows.loops.loop_margins import loops_of
 from wavequake.workflows.loops.pushing import pushing_notices
-from wavequake.workflows.loops.system_light import optics_of
+from wavequake.workflows.loops.system_light import drawn_at, optics_of
 from wavequake.workflows.loops.system_loop import bench_of, motion_left
 from wavequake.workflows.study import load_study
 
@@ -204,3 +204,58 @@ def test_what_does_not_say_its_mass_does_not_push_and_is_named(tmp_path):
     (said,) = pushing_notices(found)
     assert said.startswith("actuator.steer: the body 'secondary' carries 'M2', but how much of its mass")
     assert optics_of(found).answers == ()
+
+
+NODES = """
+[[sensor]]
+name = "felt"
+model = "displacement"
+rate_hz = 1000.0
+nodes = ["primary.d?", "secondary.d?", "secondary.a.d?"]
+"""
+
+
+def test_nodes_that_sensors_read_keep_momentum_in_space(tmp_path):
+    """What the stage moves and what answers it, by the centers of mass of both mirrors at any frequency."""
+    stage = LOOP.replace('of = "M2"', 'of = "secondary"').replace('["rx", "ry"]', '["dx", "ry", "dz"]')
+    optics = optics_of(load_study(written(tmp_path, stage, PERFECT, NODES)))
+    (answer,) = optics.answers
+    names, first = optics.light.nodes, len(optics.light) - len(optics.light.nodes)
+    rows = {name: first + k for k, name in enumerate(names)}
+    channels = optics.sights["steer"].shape[1]
+    for s in (20j, 2e3j + 1.0):
+        each = [one.c @ np.linalg.solve(s * np.eye(2) - one.a, one.b + 0j) + one.d for one in answer.dynamics]
+        found = (answer.shown * each) @ answer.drives["steer"] + optics.sights["steer"]
+        for dof in ("dx", "dy", "dz"):
+            total = 200.0 * found[rows[f"primary.{dof}"]] + 12.0 * found[rows[f"secondary.{dof}"]]
+            assert_allclose(total, np.zeros(channels), atol=1e-7)
+    assert np.abs(found[rows["secondary.dx"]]).max() > 0.1
+
+
+def test_a_node_of_a_shaken_body_moves_as_a_rigid_body(tmp_path):
+    """By its motion about the vertex and the arm from there."""
+    pump = '[[disturbance]]\nname = "pump"\nmodel = "body-force"\nat = ["secondary.b"]\nduration_s = 0.25\n'
+    pump += "direction = [1.0, 0.4, 0.2]\ninstants = 40\nlines = [{ frequency_hz = 20.0, force_n = 0.5 }]\n"
+    feet = FEET.format(stiffness=2e6, zeta=1e-2)
+    path = written(tmp_path, LOOP, PERFECT, NODES, pump, feet)
+    optics = optics_of(load_study(path))
+    motion = drawn_at(optics, optics.bench.study.disturbance[1], 0, np.linspace(0.0, 0.2, 9))
+    seen = optics.see(motion)[:, len(optics.light) - len(optics.light.nodes) :]
+    moved = motion.rigid["secondary"]
+    optical = next(one for one in optics.bench.bodies if one.name == "secondary")
+    arm = np.array([0.3, 0.0, 1.9]) - 1e-3 * optical.point
+    turned = np.kron(np.eye(2), optical.rotation)
+    moved = moved @ turned.T
+    wanted = 1e9 * (moved[:, :3] + np.cross(moved[:, 3:], arm))
+    places = [optics.light.nodes.index(f"secondary.a.{dof}") for dof in ("dx", "dy", "dz")]
+    assert_allclose(seen[:, places], wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
+
+
+def test_a_sensor_that_sees_nothing_of_what_is_expected_is_named(tmp_path):
+    """Lines move as the stage does, which nodes do not see: with the frequency of what is expected."""
+    both = PERFECT.replace("perfect", "both").replace('model = "both"', 'model = "lqg-fusion"')
+    both += 'also_reads = ["felt"]\nlines = [{ hz = 20.0, rms = 9.0 }]\n'
+    noisy = NODES + "noise = 1.0\n", LOOP.replace("rate_hz = 1000.0", "rate_hz = 1000.0\nnoise = 9.0")
+    path = written(tmp_path, *noisy[::-1], both, FEET.format(stiffness=2e6, zeta=1e-2))
+    with pytest.raises(UserError, match=r"both: the sensor 'felt' sees nothing of what it expects \(20 Hz\)"):
+        wq.plan(path)

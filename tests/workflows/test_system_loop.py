@@ -116,7 +116,7 @@ def test_a_history_from_a_file_is_taken_at_its_own_instants(tmp_path):
     [
         ('model = "optic"\nof = "M2"', 'model = "m2-rigid"', "moves a segmented telescope"),
         ('of = "M2"', 'of = "M3"', "there is no surface or body 'M3' to move; there is M1, M2, image"),
-        ('model = "line-of-sight"', 'model = "edges"', "reads segments or nodes"),
+        ('model = "line-of-sight"', 'model = "edges"', "reads segments or M2"),
         ("gain = 0.3", "gain = 1.2", "unstable"),
         ("[optics]", '[optics]\nlight = "modal"', "optics.light must be 'traced'"),
         ("20.0", "90000.0", "too fast for its loops"),

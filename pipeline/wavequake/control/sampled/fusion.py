@@ -85,8 +85,9 @@ def fused(
         raise UserError("A filter needs positive noise of each sensor.")
     noise = np.concatenate([np.full(len(one.positions), one.noise) for one in seen])
     a, g, rows = _shown(known, seen)
-    # States of unit variance, readings in units of their noise.
-    sizes = np.sqrt(np.diag(solve_continuous_lyapunov(a, -g @ g.T)))
+    # States of unit variance, but those of readings that see nothing; readings in units of their noise.
+    sizes = np.sqrt(np.maximum(np.diag(solve_continuous_lyapunov(a, -g @ g.T)), 0.0))
+    sizes[sizes == 0.0] = 1.0
     a, g, rows = a * sizes / sizes[:, None], g / sizes[:, None], rows * sizes
     target, rows = rows[: len(known.target)], rows[len(known.target) :] / noise[:, None]
     phi, mean, q, s, r = _by_periods(a, g, rows, timing.period)

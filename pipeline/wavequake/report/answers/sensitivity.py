@@ -50,7 +50,7 @@ def surface_table(found: Arrays) -> Table:
     table = Table(
         box=SIMPLE_HEAD,
         pad_edge=False,
-        title="Surfaces: motion about the vertex, axes of M1 (z along the incoming light)",
+        title="Surfaces: motion about the vertex, along and about the surface's own axes",
         title_justify="left",
     )
     table.add_column("surface\nmotion")

@@ -1,28 +1,19 @@
-"""Bodies with mass in loops of segmented telescopes: which stages push them, and nodes that sensors read."""
+"""What the stages of a segmented telescope push: the bodies with mass that carry what they move."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from fnmatch import fnmatchcase
 
 import numpy as np
 
-from wavequake.chain.loops.block import Actuator, Sensor
+from wavequake.chain.loops.block import Actuator
 from wavequake.chain.loops.light import Light
 from wavequake.chain.loops.reaction import Pushing, coordinates, load_mass, pushed_by
-from wavequake.chain.loops.sensors.displacement import OfBodies
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
-from wavequake.mechanics.assembly.answers import watching
-from wavequake.mechanics.assembly.bodies import GROUND
 from wavequake.mechanics.assembly.plant import Plant
-from wavequake.optics.derivatives.central import DOFS
-from wavequake.workflows.bodies.made import MM_PER_M, transported
+from wavequake.workflows.bodies.made import MM_PER_M
 from wavequake.workflows.bodies.sections import BodySection
 from wavequake.workflows.segments.bench import Bench
 from wavequake.workflows.segments.launches import states_at_rest
-
-NODE = "node "
-"""What outputs of a plant that are nodes are called, before their names."""
 
 _SI = np.repeat([1.0 / MM_PER_M, 1.0], 3)
 
@@ -116,57 +107,6 @@ def _own_body(one: Actuator, bench: Bench, plant: Plant) -> tuple[slice, Array] 
     center = optical.point if section.rigid.center_mm is None else np.array(section.rigid.center_mm)
     away = optical.rotation.T @ (center - optical.point) / MM_PER_M
     return place, load_mass(section.rigid.mass_kg, np.diag(section.rigid.inertia_kg_m2), away)
-
-
-def with_nodes(names: tuple[str, ...], sensors: Sequence[Sensor], light: Light) -> tuple[Plant | None, Light]:
-    """Return the bodies, and light, with the nodes that sensors read; their motions are outputs of the plant.
-
-    `names` are nodes that move by themselves.
-
-    Raises
-    ------
-    UserError
-        If a sensor names a node that is not there.
-    """
-    plant = light.layout.plant
-    if plant is None:
-        return None, replace(light, nodes=names)
-    ends = {
-        f"{node}.{dof}": node
-        for node, (_, turns) in plant.places.items()
-        if "/" not in node and node.partition(".")[0] != GROUND
-        for dof in DOFS[: 3 if turns is None else 6]
-    }
-    read = [(one.name, pattern) for one in sensors if isinstance(one, OfBodies) for pattern in one.nodes]
-    for name, pattern in read:
-        if not any(fnmatchcase(known, pattern) for known in (*names, *ends)):
-            raise UserError(
-                f"sensor.{name}.nodes: there is no node {pattern!r}; there are "
-                f"{', '.join([*names, *ends][:12])}{', ...' if len(ends) > 12 else ''}."
-            )
-    found = tuple(label for label in ends if any(fnmatchcase(label, pattern) for _, pattern in read))
-    plant = watching(plant, {NODE + node: node for node in dict.fromkeys(ends[label] for label in found)})
-    return plant, replace(light, layout=replace(light.layout, plant=plant), nodes=(*names, *found))
-
-
-def moved_nodes(one: Actuator, bench: Bench, light: Light) -> Array:
-    """Return how nodes that sensors read move, nm and nrad, per position of an actuator, (N, p).
-
-    Those of a body that it moves do; all others stand still, but for what the bodies answer.
-    """
-    found = np.zeros((len(light.nodes), len(one.channels(light))))
-    name, plant = getattr(one, "of", ""), light.layout.plant
-    optical = next((body for body in bench.bodies.optical if body.name == name), None)
-    if optical is None or plant is None:
-        return found
-    (motion,) = one.motion(np.eye(found.shape[1])).values()
-    turned = np.kron(np.eye(2), optical.rotation) @ motion.T
-    for row, label in enumerate(light.nodes):
-        node, _, dof = label.rpartition(".")
-        if node in plant.points and (node == name or node.startswith(f"{name}.")):
-            moved = transported(turned, optical.point / MM_PER_M, np.eye(3), plant.points[node])
-            found[row] = 1e9 * moved[DOFS.index(dof)]
-    return found
 
 
 def movable_bodies(bench: Bench) -> dict[str, Array]:

@@ -1,7 +1,7 @@
 """The system of ``system-loop``: what sensors see of motions, and when a case is looked at."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.systems.paraxial import paraxial
+from wavequake.workflows.bodies.nodes import moved_nodes, node_columns, with_nodes
 from wavequake.workflows.loops.pushing import pushing_of
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.study import FULL
@@ -69,8 +70,8 @@ class SystemOptics:
         Its line of sight is in mas for an object at infinity, else that of the image in nm.
     mm : float
         Image motion, mm, of one unit of line of sight.
-    gain : ndarray, shape (columns, K)
-        What is seen per motion, see `wavequake.workflows.systems.streaks.flat`.
+    gain : ndarray, shape (columns, J - 1)
+        Light per motion, see `wavequake.workflows.systems.streaks.flat`.
     sights : dict of ndarray, shape (K, p)
     times : tuple of Times or None
         Of each population that has cases.
@@ -99,7 +100,11 @@ class SystemOptics:
 
     def see(self, motion: ElementMotion) -> Array:
         """Return what sensors see of a motion, (n, K)."""
-        return flat(self.bench.system, system_states(self.bench, motion)) @ self.gain
+        optical = flat(self.bench.system, system_states(self.bench, motion)) @ self.gain
+        if not self.light.bodies_too:
+            return optical
+        beside = np.zeros((len(optical), self.light.bodies - len(self.light.nodes)))  # a telescope's M2
+        return np.hstack([optical, beside, node_columns(self.light, motion.rigid, len(optical))])
 
 
 def optics_of(study: SystemLoopStudy) -> SystemOptics:
@@ -129,6 +134,12 @@ def optics_of(study: SystemLoopStudy) -> SystemOptics:
     )
     gain = light_gains(bench.text)[0]
     gain = np.hstack([gain[:, :2] / mm, gain[:, 5:] * (prepared.wavelength * NM_PER_MM)])
+    plant, light = with_nodes(
+        (), study.sensor, replace(light, layout=replace(NO_SEGMENTS, plant=bench.plants.get(FULL)))
+    )
+    if plant is not None and light.nodes:
+        light = replace(light, bodies_too=True)
+        bench = replace(bench, plants={**bench.plants, FULL: plant})
     bare = SystemOptics(bench, light, mm, gain, {}, ())
     sights = {one.name: _sight(bare, one) for one in study.actuator}
     times = tuple(_times(study, bare, entry) if entry.share else None for entry in study.disturbance)
@@ -155,8 +166,11 @@ def carried(bench: SystemBench, outputs: Array) -> ElementMotion:
 
 def _sight(optics: SystemOptics, one: Actuator) -> Array:
     """Return what is seen per position of an actuator."""
-    unit = np.eye(len(one.channels(optics.light)))
-    return np.ascontiguousarray(optics.see(still(len(unit), one.motion(one.step * unit))).T / one.step)
+    light, unit = optics.light, np.eye(len(one.channels(optics.light)))
+    found = optics.see(still(len(unit), one.motion(one.step * unit))).T / one.step
+    if light.nodes:
+        found[len(light) - len(light.nodes) :] = moved_nodes(one, optics.bench.bodies, light)
+    return np.ascontiguousarray(found)
 
 
 def still(count: int, rigid: dict[str, Array]) -> ElementMotion:
@@ -224,8 +238,9 @@ def _even(study: SystemLoopStudy, optics: SystemOptics, population: ElementDistu
         time = np.linspace(0.0, duration, 2 * count + 1)
         seen = optics.see(drawn_at(optics, population, 0, time))
         off = seen[1::2] - 0.5 * (seen[:-1:2] + seen[2::2])
-        # Of the largest among the line of sight, and among coefficients.
-        apart, size = ([np.abs(one[:, :2]).max(), np.abs(one[:, 2:]).max(initial=0.0)] for one in (off, seen))
+        # Of the largest among the line of sight, coefficients, and nodes.
+        kinds = (slice(0, 2), slice(2, optics.light.optical), slice(optics.light.optical, None))
+        apart, size = ([np.abs(one[:, kind]).max(initial=0.0) for kind in kinds] for one in (off, seen))
         if all(a <= _STRAIGHT * s for a, s in zip(apart, size, strict=True)):
             return time
         if count >= _MOST:

@@ -175,7 +175,7 @@ def _away(
 def _linear(optics: SystemOptics, traced: Mapping[str, Array], linear: Array) -> dict[str, Array]:
     """Return how far the linear light (n, K) is off what was traced."""
     primary = optics.bench.system.primary_wavelength
-    rms = np.sqrt(np.sum((optics.still + linear[:, 2:]) ** 2, axis=1))
+    rms = np.sqrt(np.sum((optics.still + linear[:, 2 : optics.light.optical]) ** 2, axis=1))
     away = linear[:, :2] * optics.mm - traced["los_mm"][:, 0, primary]
     return {
         "light_error_wfe_rms": np.abs(rms - traced["wfe_rms"][:, 0, primary]).max(),

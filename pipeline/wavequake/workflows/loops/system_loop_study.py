@@ -3,6 +3,7 @@
 from pydantic import model_validator
 
 from wavequake.chain.loops.blocks import LoopBlocks
+from wavequake.chain.loops.sensors.displacement import OfBodies
 from wavequake.workflows.systems.study import SystemStudy
 
 _OTHERS = ("reduction", "allow", "budget")
@@ -20,10 +21,12 @@ class SystemLoopStudy(SystemStudy, LoopBlocks):
             raise ValueError("loops trace what they leave; optics.light must be 'traced'")
         self.check_runs(self.disturbance, self.wavefront.method, self.wavefront.reference)
         for sensor in self.sensor:
-            if sensor.sees != "light":
+            nodes = isinstance(sensor, OfBodies) and sensor.nodes and not (sensor.m2 or sensor.segments)
+            if sensor.sees != "light" and not nodes:
                 raise ValueError(
-                    f"the sensor {sensor.name!r} reads segments or nodes of telescopes; loops of other "
-                    "systems take sensors of light, as line-of-sight, wavefront, slopes and camera"
+                    f"the sensor {sensor.name!r} reads segments or M2 of a telescope; loops of other "
+                    "systems take sensors of light, as line-of-sight, wavefront, slopes and camera, and "
+                    "displacement and accelerometer on nodes of bodies with mass (nodes)"
                 )
         return self
 

@@ -29,7 +29,8 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.prepared import prepared
 from wavequake.workflows.bodies.made import transported
-from wavequake.workflows.bodies.stages import NODE, movable_bodies, moved_nodes, stages_push, with_nodes
+from wavequake.workflows.bodies.nodes import moved_nodes, node_columns, with_nodes
+from wavequake.workflows.bodies.stages import movable_bodies, stages_push
 from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, trace
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
@@ -115,7 +116,7 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
     if study.mode or plant is not None or any(one.sees == "bodies" for one in study.sensor):
         light = replace(light, bodies_too=True)
         for one in study.actuator:
-            moves = _moved_bodies(control, light, one), moved_nodes(one, bench, light)
+            moves = _moved_bodies(control, light, one), moved_nodes(one, bench.bodies.optical, light)
             sights[one.name] = np.vstack([sights[one.name], *moves])
     structure = carrying(study.mode, light.layout) if study.mode else None
     optics = Optics(control, model, light, sights, moved, deformed, structure, (), times)
@@ -386,9 +387,5 @@ def _seen(optics: Optics, motion: Motion) -> Array:
         return seen
     m2 = moved[:, M2] / UNITS
     m2[:, 3:5] += motion.m2 @ bench.m2_tilt.T / UNITS[3:5]
-    nodes = np.zeros((count, len(light.nodes)))
-    for column, label in enumerate(light.nodes):
-        node, _, dof = label.rpartition(".")
-        if NODE + node in motion.rigid:
-            nodes[:, column] = 1e9 * motion.rigid[NODE + node][:, DOFS.index(dof)]
+    nodes = node_columns(light, motion.rigid, count)
     return np.hstack([seen, in_nm_and_nrad(motion.segment_motion), m2, nodes])

@@ -1,5 +1,6 @@
 """LQG of all channels and several sensors together."""
 
+from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -13,6 +14,17 @@ from wavequake.control.frames.disturbance import Shaped, oscillator
 from wavequake.control.sampled.fusion import Known, Seen, fused
 from wavequake.control.sampled.regulator import Regulator, whole
 from wavequake.errors import UserError
+
+# Frequencies that a sentence names.
+_NAMED = 4
+
+
+def _hertz(expected: Sequence[Shaped]) -> str:
+    """Name the frequencies of what is expected."""
+    poles = np.concatenate([np.linalg.eigvals(one.a) for one in expected])
+    found = list(dict.fromkeys(f"{abs(pole) / (2 * np.pi):.3g} Hz" for pole in poles))
+    more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+    return ", ".join(found[:_NAMED]) + more
 
 
 @register
@@ -43,6 +55,11 @@ class LqgFusion(Expecting):
         seen = []
         for place, watch in enumerate(asked.watched):
             rows = np.hstack([columns[place] * one.c for one, columns in parts])
+            if not rows.any():
+                raise UserError(
+                    f"controller.{self.name}: the sensor {watch.sensor!r} sees nothing of what it expects "
+                    f"({_hertz([one for one, _ in parts])}); leave it out, or expect what that sensor sees."
+                )
             noise = self.noise_of(asked) if place == 0 else watch.noise
             answers = watch.answers[:, : len(structure)]
             seen.append(Seen(rows, watch.sees, answers, watch.shows, noise))

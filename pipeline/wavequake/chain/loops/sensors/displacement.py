@@ -77,7 +77,11 @@ class OfBodies(Sensor):
     def _places(self, key: str, patterns: Sequence[str], names: Sequence[str]) -> list[int]:
         for pattern in patterns:
             if not any(fnmatchcase(name, pattern) for name in names):
-                none = "there are no segments" if key == "segments" else "no [[mode]] block names nodes"
+                none = (
+                    "there are no segments"
+                    if key == "segments"
+                    else "no [[mode]] block and no body with mass has nodes"
+                )
                 there = f"there are {names[0]} to {names[-1]}" if names else none
                 raise UserError(f"sensor.{self.name}.{key}: there is no {key[:-1]} {pattern!r}; {there}.")
         return [place for place, name in enumerate(names) if any(fnmatchcase(name, one) for one in patterns)]
