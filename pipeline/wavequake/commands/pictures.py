@@ -46,7 +46,7 @@ def info(
         Path | None, typer.Option(help="Catalogue of glasses for a lens file (.agf), before all others.")
     ] = None,
 ) -> None:
-    """Print first-order data, fields, wavelengths and surfaces of a system; of mirrors their models."""
+    """Print a system's first-order data, fields and surfaces, models of mirrors, or what a file holds."""
     from wavequake.drawing.draw import described_study
     from wavequake.workflows.systems.source import described
 

@@ -50,12 +50,13 @@ def new(source: str | Path, file: str | Path | None = None) -> Path:
 
 
 def info(what: "str | Path | OpticalSystem", glass: str | Path | None = None, **overrides: Any) -> str:
-    """Return in words what a system, telescope, mirror or study is: first-order data, surfaces, models.
+    """Return in words what a system, telescope, mirror, study or file of another program is or holds.
 
     Parameters
     ----------
     what : str, Path or OpticalSystem
-        Name of a system, telescope or study, a lens file, a study file, or a system.
+        Name of a system, telescope or study, a lens file, catalogue of glasses, deck, file of matrices or of
+        results at nodes, a study file, or a system.
     glass : str or Path, optional
         Catalogue of glasses for a lens file (.agf), before all others.
     **overrides
