@@ -84,7 +84,7 @@ def test_a_figure_of_one_segment_over_time_is_twice_itself_in_the_wavefront(load
     expected = np.hypot(2.0 * rms * np.array([30.0, 10.0, 0.0]), rest)
     np.testing.assert_allclose(arrays["wfe_rms_raw"][0], expected, rtol=0.02)
     # Fits of the shape itself, which the trace does not know: sign and place.
-    basis = bench.prepared.zernike.basis
+    basis = bench.prepared.fit.basis
     fit = np.linalg.lstsq(basis * np.sqrt(weight)[:, None], shape * np.sqrt(weight), rcond=None)[0]
     change = arrays["zernike"][0, 0] - arrays["zernike"][0, 1]
     assert np.corrcoef(change[3:], fit[3:])[0, 1] > 0.999

@@ -29,7 +29,7 @@ def reference(name):
 
 
 def annular_factor(prepared):
-    return 1 / np.sqrt(1 + prepared.obscuration**2)
+    return 1 / np.sqrt(1 + prepared.system.pupil.obscuration**2)
 
 
 def chief(prepared, los, zernike):

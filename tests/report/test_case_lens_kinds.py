@@ -293,10 +293,10 @@ def wavefront_of(files, prepared):
     share = np.sqrt(prepared.weight)
     plane, zernike = (
         np.linalg.lstsq(share[:, None] * fit.basis, share * waves, rcond=None)[0]
-        for fit in (prepared.plane, prepared.zernike)
+        for fit in (prepared.plane, prepared.fit)
     )
     flat = np.sqrt(np.sum((share * (waves - prepared.plane.basis @ plane)) ** 2))
-    steep = np.hypot(1.0, prepared.obscuration) * prepared.numerical_aperture
+    steep = np.hypot(1.0, prepared.system.pupil.obscuration) * prepared.numerical_aperture
     los = chief - 2.0 * prepared.wavelength / steep * zernike[1:3]
     nm = 1e6 * prepared.wavelength
     return nm * flat, nm * np.linalg.norm(zernike[3:]), los

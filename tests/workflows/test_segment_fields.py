@@ -59,7 +59,7 @@ def test_each_field_point_has_the_bits_of_a_study_of_its_own(folder):
 def test_m2_moves_alike_for_all_field_points(folder):
     first, second = benches_of(loaded(folder, both(*FIELDS)).identity_text())
     np.testing.assert_array_equal(first.m2_tilt, second.m2_tilt)
-    assert first.prepared.zernike is second.prepared.zernike  # what is of the pupil is there once
+    assert first.prepared.fit is second.prepared.fit  # what is of the pupil is there once
 
 
 def test_one_field_point_in_a_list_has_the_dimension_and_the_same_numbers(folder):

@@ -83,7 +83,7 @@ def test_preparation_has_the_same_bits_on_any_number_of_threads():
     for name in ("zernike", "los", "centroid", "strehl", "segment_phase"):
         np.testing.assert_array_equal(*(getattr(bench.static, name) for bench in benches))
     np.testing.assert_array_equal(*(bench.m2_tilt for bench in benches))
-    np.testing.assert_array_equal(*(bench.prepared.zernike.matrix for bench in benches))
+    np.testing.assert_array_equal(*(bench.prepared.fit.matrix for bench in benches))
 
 
 def test_long_cases_are_cut_into_launches_without_changing_bits(study, monkeypatch):

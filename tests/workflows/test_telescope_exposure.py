@@ -120,7 +120,7 @@ def test_gains_of_m2s_figure_are_the_sensitivities(text):
     control = control_bench_of(text)
     mirrors = sensitivities(control.prepared, choose_device("numpy")).mirrors
     factor = control.prepared.numerical_aperture / (2 * control.prepared.wavelength)
-    tilt = mirrors.los[0, 1:] * factor * np.hypot(1, control.prepared.obscuration)
+    tilt = mirrors.los[0, 1:] * factor * np.hypot(1, control.prepared.system.pupil.obscuration)
     wanted = np.hstack([tilt, mirrors.zernike[0, 1:, 3:]]).T
     np.testing.assert_allclose(figure_gains(control), wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
 

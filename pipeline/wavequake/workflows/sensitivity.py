@@ -180,7 +180,7 @@ def _dataset(bench: Bench, found: Sensitivities, device: Device) -> Arrays:
         elements,
         (),
         bench.study.optics.wavelength_nm,
-        bench.prepared.obscuration,
+        bench.prepared.system.pupil.obscuration,
         device,
         bench.stopped.words(),
         bench.system.note,

@@ -168,14 +168,14 @@ def _assembled(
     """Reduce fields over the rays (N, D + 4) to sums over each segment; over all rays for what is common."""
     opd, x, y, chief = slopes
     weight, local = prepared.weight, len(dofs)
-    segments, terms = len(prepared.system.segments), len(prepared.zernike.matrix)
+    segments, terms = len(prepared.system.segments), len(prepared.fit.matrix)
     of_segment = csr_matrix(
         (np.ones(len(weight)), (prepared.rays.segment, np.arange(len(weight)))), shape=(segments, len(weight))
     )
     places = layout_of(terms)
     common = opd[:, local:]
     functionals = np.zeros((len(weight), places.width))  # of the OPD
-    functionals[:, places.zernike] = prepared.zernike.matrix.T
+    functionals[:, places.zernike] = prepared.fit.matrix.T
     functionals[:, places.mean] = weight
     functionals[:, places.plane] = prepared.plane.matrix.T
     functionals[:, places.static] = weight * still
@@ -192,11 +192,10 @@ def _assembled(
             row = local * segments + column - local
             columns[row] = summed.sum(axis=0)
             columns[row, places.centroid] = image.sum(axis=0)
-    factor = float(np.copysign(1.0 / np.sqrt(1.0 + prepared.obscuration**2), prepared.focal_length))
     toward = np.zeros((len(columns), 2))
     toward[local * segments :] = chief[local:]
     columns[:, places.los] = los_eq339(
-        toward, columns, prepared.wavelength, prepared.numerical_aperture, factor
+        toward, columns, prepared.wavelength, prepared.numerical_aperture, prepared.tilt_factor
     )
     # The common motions' own products are in `common`, not in what their columns add to the cross terms.
     columns[local * segments :, places.cross] = 0.0

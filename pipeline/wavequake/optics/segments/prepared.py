@@ -65,7 +65,7 @@ class PreparedTrace:
     margin : float
     weight : ndarray, shape (N,)
         Share of the pupil that each ray stands for; the sum is 1.
-    zernike : Fit
+    fit : Fit
         Of the annular Noll Zernike polynomials.
     plane : Fit
         Of piston, x and y over the outer pupil radius.
@@ -78,7 +78,7 @@ class PreparedTrace:
         From Noll coefficients of a mirror after M1 (heights along its z axis) to those of its polynomials.
     aspheres : ndarray, shape (L - 1, M'), optional
         What mirrors after M1 have beyond their conics, in the same polynomials.
-    obscuration, numerical_aperture, focal_length : float
+    numerical_aperture, focal_length : float
     field : int
         Index of the field point.
     slopes : Fit, optional
@@ -95,18 +95,22 @@ class PreparedTrace:
     candidates: NDArray[np.int32]
     margin: float
     weight: Array
-    zernike: Fit
+    fit: Fit
     plane: Fit
     segment_fit: csr_matrix
     figure_matrix: Array
     mirror_matrix: Array
-    obscuration: float
     numerical_aperture: float
     focal_length: float
     field: int = 0
     slopes: Fit | None = None
     sphere: Fit | None = None
     aspheres: Array | None = None
+
+    @property
+    def tilt_factor(self) -> float:
+        """Of annular tilt, see `los_eq339`; negative where the pupil is upside down."""
+        return float(np.copysign(1.0 / np.sqrt(1.0 + self.system.pupil.obscuration**2), self.focal_length))
 
     @property
     def point(self) -> Array:
@@ -160,7 +164,6 @@ def prepare(
     rays = PupilRays(rays.x[used], rays.y[used], rays.weight[used], rays.segment[used])
     weight = rays.weight / np.sum(rays.weight)
     x, y = rays.x / system.annulus.outer, rays.y / system.annulus.outer
-    obscuration = system.annulus.inner / system.annulus.outer
     optics = first_order(system)
     figure, mirror = (zernike_basis(count) if count else _NO_FIGURE for count in (figure_terms, mirror_terms))
     mirror, aspheres = with_aspheres(mirror, asphere_polynomials(system))
@@ -180,14 +183,13 @@ def prepare(
         candidates=candidates(system.segments, rays.x, rays.y, margin),
         margin=margin,
         weight=weight,
-        zernike=well_determined(
-            weighted_fit(annular_zernike(x, y, terms, obscuration), weight, MORE_SEGMENT_RAYS)
+        fit=well_determined(
+            weighted_fit(annular_zernike(x, y, terms, system.pupil.obscuration), weight, MORE_SEGMENT_RAYS)
         ),
         plane=weighted_fit(np.stack([np.ones_like(x), x, y], axis=1), weight, MORE_SEGMENT_RAYS),
         segment_fit=csr_matrix((rows.ravel(), places), shape=(3 * len(system.segments), len(x))),
         figure_matrix=figure.matrix / -system.segments.axes[:, 2, 2, None, None],
         mirror_matrix=mirror.matrix,
-        obscuration=obscuration,
         numerical_aperture=optics.numerical_aperture,
         focal_length=optics.focal_length,
         aspheres=aspheres,

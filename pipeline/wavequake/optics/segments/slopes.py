@@ -72,7 +72,7 @@ def slope_fit(prepared: PreparedTrace, motion: Array | None = None) -> Fit:
         If a ray does not reach the image in the reference, the rays do not determine the coefficients, or the
         motion has the wrong shape.
     """
-    outer, terms = prepared.system.annulus.outer, prepared.zernike.basis.shape[1]
+    outer, terms = prepared.system.annulus.outer, prepared.fit.basis.shape[1]
     states = rest_states(prepared.system, TILE)
     shape = states.surface_motion.shape[1:]
     if motion is not None and motion.shape != shape:
@@ -80,7 +80,7 @@ def slope_fit(prepared: PreparedTrace, motion: Array | None = None) -> Fit:
     states.surface_motion[:] = 0.0 if motion is None else motion
     distance, derivatives, _ = sphere_points(prepared, states)
     _, *by = annular_zernike_gradient(
-        prepared.rays.x / outer, prepared.rays.y / outer, terms, prepared.obscuration
+        prepared.rays.x / outer, prepared.rays.y / outer, terms, prepared.system.pupil.obscuration
     )
     slopes = np.stack(by, axis=1) / outer  # (N, 2, J), per mm of pupil
     scale = -prepared.wavelength * distance

@@ -99,14 +99,14 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
     for tile in np.flatnonzero(lost.reshape(-1, TILE).any(axis=1)):
         gone = vignetted(prepared.train, status[tile])
         passed_by[tile * TILE : (tile + 1) * TILE] = np.count_nonzero(gone, axis=0)
-    factor = float(np.copysign(1.0 / np.sqrt(1.0 + prepared.obscuration**2), prepared.focal_length))
+    scale = prepared.wavelength, prepared.numerical_aperture, prepared.tilt_factor
     return Wavefront(
         zernike=zernike,
         rms_raw=moments["rms_raw"],
         rms_flat=moments["rms_flat"],
         pv=moments["pv"],
         chief=image_point,
-        los=los_eq339(image_point + shift, zernike, prepared.wavelength, prepared.numerical_aperture, factor),
+        los=los_eq339(image_point + shift, zernike, *scale),
         centroid=moments["centroid"],
         spot_rms=moments["spot_rms"],
         strehl=moments["strehl"],
@@ -137,7 +137,7 @@ def _fit_tile(
         tilt = fit_tile(prepared.sphere, waves, ok)[1:3]
         waves -= prepared.sphere.basis[:, 1:3] @ tilt
         shift = tilt * (prepared.wavelength / prepared.numerical_aperture)
-    zernike, plane = (fit_tile(fit, waves, ok) for fit in (prepared.zernike, prepared.plane))
+    zernike, plane = (fit_tile(fit, waves, ok) for fit in (prepared.fit, prepared.plane))
     return zernike.T, phase.transpose(2, 0, 1), lost_segments, shift.T, plane[1:3]
 
 

@@ -86,10 +86,9 @@ class ControlBench:
     @property
     def tilt_per_mm(self) -> float:
         """Noll tilt coefficient, waves, of a line of sight of 1 mm (Störkle 2018, Eq. 3.39)."""
-        prepared = self.prepared
-        return float(
-            np.hypot(1.0, prepared.obscuration) * prepared.numerical_aperture / (2.0 * prepared.wavelength)
-        )
+        one = self.prepared
+        annular = np.hypot(1.0, one.system.pupil.obscuration)
+        return float(annular * one.numerical_aperture / (2.0 * one.wavelength))
 
 
 @prepared(maxsize=2)
@@ -153,7 +152,7 @@ def imaged_bench_of(study_text: str) -> ControlBench:
                 f"{lost} rays of {system.name} at rest are lost, so that its image would have holes; check "
                 "telescope and optics.field_arcmin"
             )
-        opd, focus = measured_opd(control, traced), control.prepared.zernike.basis[:, 3]
+        opd, focus = measured_opd(control, traced), control.prepared.fit.basis[:, 3]
         image = local_images(control, opd, static)[0]
         defocused = local_images(control, opd + np.resize(FOCUS, TILE)[:, None] * focus, static)[: len(FOCUS)]
         return replace(control, static_image=image, static_focus=defocused)
@@ -271,7 +270,7 @@ def measured_opd(control: ControlBench, traced: Traced) -> Array:
 
 def fitted_opd(control: ControlBench, wavefront: Wavefront, measured: Array) -> Array:
     """Return the OPDs (batch, N) that the fitted Zernike polynomials describe, of rays that were measured."""
-    fitted = np.asarray(wavefront.zernike[:, None, :] @ control.prepared.zernike.basis.T)[:, 0]
+    fitted = np.asarray(wavefront.zernike[:, None, :] @ control.prepared.fit.basis.T)[:, 0]
     fitted[np.isnan(measured)] = np.nan
     return fitted
 

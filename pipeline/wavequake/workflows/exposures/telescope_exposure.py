@@ -257,7 +257,7 @@ def notices(study_text: str) -> Iterator[str]:
     if words := control.bench.stopped.words():
         yield words
     rest = _whole_phase(control, traced, wavefront)[:1]
-    phases = [rest - np.array(FOCUS)[:, None] * prepared.zernike.basis[:, 3]]
+    phases = [rest - np.array(FOCUS)[:, None] * prepared.fit.basis[:, 3]]
     for case in range(len(control.study.disturbance)):
         drawn = scaled_draw(control, case)
         drawn = replace(drawn, time=drawn.time[:TILE])

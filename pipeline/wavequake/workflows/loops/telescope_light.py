@@ -207,7 +207,7 @@ def _telescope(text: str, dofs: tuple[int, ...]) -> tuple[ControlBench, ModalMod
     bench = control.bench
     light = Light(
         model.terms,
-        control.prepared.obscuration,
+        control.prepared.system.pupil.obscuration,
         bench.system.annulus.outer,
         bench.layout,
         movable=_movable(bench.system) | movable_bodies(bench),

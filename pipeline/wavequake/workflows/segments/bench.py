@@ -233,7 +233,7 @@ def in_basis(bench: Bench, coefficients: NDArray[np.float64]) -> NDArray[np.floa
     """Return annular Noll coefficients (..., J) as the study wants them; an unknown piston stays unknown."""
     if bench.study.wavefront.basis == "annular":
         return coefficients
-    return known_transformed(coefficients, bench.prepared.obscuration, 0.0)
+    return known_transformed(coefficients, bench.prepared.system.pupil.obscuration, 0.0)
 
 
 def monolithic(system: OpticalSystem) -> bool:
@@ -362,9 +362,9 @@ def _reference(
     wavefront, status = at_rest(prepared, known_by)
     refuse_dark_segment(prepared, status, wavefront.lost_segments[0])
     stopped = stopped_at_rest(prepared, status)
-    if stopped.words() and not tells_apart(prepared.zernike, status == OK):
+    if stopped.words() and not tells_apart(prepared.fit, status == OK):
         raise UserError(
-            f"{stopped.words()}; the others do not determine {prepared.zernike.basis.shape[1]} "
+            f"{stopped.words()}; the others do not determine {prepared.fit.basis.shape[1]} "
             "Zernike terms: take fewer wavefront.zernike_terms, or a larger semi_diameter_mm."
         )
     if prepared.system.after_primary[0].action != "reflect":

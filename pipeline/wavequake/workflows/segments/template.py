@@ -243,7 +243,7 @@ def _fixed(bench: Bench) -> dict[str, Fixed]:
 
 def _over_annulus(bench: Bench) -> dict[str, str]:
     """Return over which annulus the polynomials of the stored coefficients are orthogonal, as a label."""
-    inner = bench.prepared.obscuration if bench.study.wavefront.basis == "annular" else 0.0
+    inner = bench.prepared.system.pupil.obscuration if bench.study.wavefront.basis == "annular" else 0.0
     return {"obscuration": repr(float(inner))}
 
 
