@@ -62,7 +62,8 @@ def test_python_snippets_run(page, tmp_path, monkeypatch):
 
 def follow(command, wavequake):
     """Run a command of a page; studies are made smaller and runs serial."""
-    words = shlex.split(re.sub(r"(?<= campaign\.cases=)(\d+)\b", lambda m: f"{int(m[1]) // 10}", command))
+    few = re.sub(r"(?<= campaign\.cases=)\d+\b", lambda m: f"{int(m[0]) // 10}", command)
+    words = shlex.split(re.sub(r"(?<= --cases )\d{3,}\b", lambda m: f"{int(m[0]) // 2}", few))
     if words[1] in ("run", "plan", "allow", "budget"):
         said = [word.partition("=")[0] for word in words]
         words += [key for key in SMALLER.get(words[2], []) if key.partition("=")[0] not in said]
