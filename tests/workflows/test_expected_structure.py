@@ -13,6 +13,7 @@ from wavequake.control.frames.disturbance import sampled
 from wavequake.control.python_control import to_control
 from wavequake.control.sampled.stability import controller_model, plant_model, sampled_margins, worst_pole
 from wavequake.errors import UserError
+from wavequake.optics.segments.telescope import M2
 from wavequake.workflows.loops import telescope_loop
 from wavequake.workflows.loops.telescope_bench import bench_of
 from wavequake.workflows.run import notices
@@ -100,7 +101,7 @@ def test_what_loops_leave_of_a_shaken_structure_is_the_integral_over_its_spectru
 
     hertz = np.linspace(1e-3, 400.0, 400_000)
     shape = 1.0 / ((1 - (hertz / 9.0) ** 2) ** 2 + (2 * 0.1 * hertz / 9.0) ** 2)
-    open_square = (50.0 * np.linalg.norm(bench.optics.m2[:2, 4])) ** 2
+    open_square = (50.0 * np.linalg.norm(bench.optics.moved[M2][:2, 4])) ** 2
     density = open_square * shape / np.trapezoid(shape, hertz)
     w = 2 * np.pi * hertz / 100.0
     s, g, n = 2 * np.sin(w / 2), 0.3, 2

@@ -24,9 +24,9 @@ _DEFINITIONS = (
     ("above", "The largest such error above the band, up to reduction.beyond_hz."),
     ("Δω/ζ", "Largest |Δω/ω| of the modes in the band that the variant has, over their damping ratio."),
     ("growth", "Largest real part of the closed loop's poles with the full model."),
-    ("spill-over", "The mode of the full model with the most energy in the growing motion."),
+    ("loop", "With the full model; if it grows, the mode with the most energy in the growing motion."),
     ("S peak", "Largest singular value of (I + G H)^-1 over frequency, with the full model."),
-    ("gain, phase, delay", "By how much all channels may change together before the loop is unstable."),
+    ("gain, phase", "By how much all channels may change together, or come later, before it is unstable."),
     ("wavefront", "Twice the surface's motion along z, rms over surface and time, piston included."),
     ("promised", "The same of the reduced model in its own loop: what its designer would expect."),
 )
@@ -112,16 +112,20 @@ def row_of(level: Level, one: Outcome) -> dict[str, tuple[str, str]]:
             _short(one["shift_over_zeta"]),
             f"{one['missing_modes']:.0f} modes missing" if one["missing_modes"] else "",
         ),
-        "loop": ("stable" if one.stable else f"{one['unstable_poles']:.0f} poles grow", ""),
+        "loop": (
+            "stable" if one.stable else f"{one['unstable_poles']:.0f} poles grow",
+            "" if one.stable else spilled(one),
+        ),
         "growth (1/s)": (number(one["growth"]), "" if np.isnan(exact) else f"all modes {number(exact)}"),
-        "spill-over": (MISSING if one.stable else spilled(one), ""),
         "S peak": (number(one["sensitivity_peak"]), ""),
         "gain": (
             number(one["gain_up"]),
             "" if not one["gain_down"] > 0 else f"from {number(one['gain_down'])}",
         ),
-        "phase (deg)": (number(one["phase_margin"]), ""),
-        "delay (ms)": (number(one["delay_margin"]), ""),
+        "phase (deg)": (
+            number(one["phase_margin"]),
+            f"{number(one['delay_margin'])} ms" if np.isfinite(one["delay_margin"]) else "",
+        ),
         "wavefront (nm)": (
             number(one["wavefront"]),
             "" if not one.stable else f"promised {number(one['wavefront_promised'])}",
