@@ -121,6 +121,13 @@ def test_blocks_that_do_not_fit_are_said_in_a_sentence(changes, words):
     assert "\n" not in str(caught.value)
 
 
+def test_a_stage_that_does_nothing_to_the_light_is_no_matter_of_rays(tmp_path):
+    stage = '[[actuator]]\nname = "flat"\nmodel = "optic"\nof = "M3"\ndofs = ["dy"]\n'
+    loop = MORE.format(model="integrator", sensor="sight", actuator="flat", keys="bandwidth_hz = 4.0")
+    with pytest.raises(UserError, match="'sight' does not see 'dy' of the actuator 'flat' at all"):
+        wq.plan(written(tmp_path, f"\n{stage}{loop}"))
+
+
 def test_noise_is_swept_as_any_key(tmp_path):
     changes = {"sweep.sensor.faint.noise": [0.0, 9.0], "look.traced": 0, "campaign.cases": 1}
     found = wq.run(small(**changes), store=tmp_path / "store").load()

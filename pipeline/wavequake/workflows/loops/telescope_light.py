@@ -45,6 +45,7 @@ _ALL = SegmentActuators(name="all", dofs=("dz", "rx", "ry"))
 _SLIGHT = 1e-8
 # Half widths of central differences of surfaces: M2 as a body, others, which may be in slow beams, figures.
 _M2, _OTHERS, _FIGURE = 1e3, 2e4, 10.0
+_UNSEEN = 0.1  # mas or nm at such a half width: what light shows less is not asked for digits
 
 
 @dataclass(frozen=True)
@@ -292,7 +293,9 @@ def _traced_sight(control: ControlBench, what: str, step: float, p: int, put: Pu
     put(states, np.concatenate([factor * step * np.eye(p) for factor in SIGNS]))
     found = trace(control.prepared, states, choose_device("numpy"))[1]
     values = np.hstack([found.los * to_mas, found.zernike[:, 3:] * to_nm])[: 4 * p]
-    slopes = checked_derivative(values.reshape(4, p, -1), step, what, "use other optics.rays")
+    slopes = checked_derivative(
+        values.reshape(4, p, -1), step, what, "use other optics.rays", least=_UNSEEN / step
+    )
     return np.ascontiguousarray(slopes.T)
 
 
