@@ -37,8 +37,10 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     """Show exposures with one logarithmic scale and the line of sight as a line (Fig. 4.32b and 4.45)."""
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(WIDTH, HEIGHT * rows / 2 if rows > 1 else HEIGHT), layout="constrained")
-    places = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    square = (WIDTH - 1.6) / columns  # inches, beside numbers and scale
+    figure = Figure(figsize=(WIDTH, min(HEIGHT, square) * rows + 0.3 * rows + 0.4), layout="compressed")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    places = grid.ravel()
     top = max(float(panel.image.max()) for panel in panels)
     half = 0.5 * (axis[1] - axis[0])
     extent = (axis[0] - half, axis[-1] + half, axis[0] - half, axis[-1] + half)
@@ -55,10 +57,13 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
         place.set_title(panel.title, fontsize=8)
     for place in places[len(panels) :]:
         place.set_visible(False)
-    figure.supxlabel("x (λ/D)", fontsize=8)
-    figure.supylabel("y (λ/D)", fontsize=8)
+    for place in grid[-1]:
+        place.set_xlabel("x (λ/D)")
+    for place in grid[:, 0]:
+        place.set_ylabel("y (λ/D)")
     if picture is not None:
-        figure.colorbar(picture, ax=list(places), shrink=0.8, label="irradiance; 1 = perfect peak")
+        scale = figure.colorbar(picture, ax=list(places), shrink=1.0 if rows == 1 else 0.8)
+        scale.set_label("irradiance; 1 = perfect peak", fontsize=8)
     return figure
 
 
