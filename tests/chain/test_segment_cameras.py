@@ -216,7 +216,8 @@ def test_planes_behind_the_image_are_those_of_a_moved_image(study_of):
     axis = (np.arange(24) - 12) * 0.2
     summed = fourier_sum(bench, 0, 1000.0, axis, behind)
     assert np.abs(found - summed).max() < 1e-4
-    states.surface_motion[0, -1, :3] = along / np.linalg.norm(along) * behind * 1e-3
+    ahead = focus.rotation.T @ along / np.linalg.norm(along)
+    states.surface_motion[0, -1, :3] = ahead * behind * 1e-3
     moved = seen(states, 0.0)
     assert np.abs(moved - sharp).max() > 0.1 * sharp.max()
     assert np.abs(found - moved).max() < 0.01 * sharp.max()
