@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.vibration.excitations import drive_of
@@ -32,7 +33,6 @@ from wavequake.workflows.mirrors.study import TraceStudy
 from wavequake.workflows.mirrors.trace import (
     MODAL,
     STANDARD,
-    Clock,
     modal_method,
     standard_method,
     trace_figures,
@@ -54,12 +54,12 @@ WORDS = {
 }
 
 
-def best(**functions: Callable[[Clock], Any]) -> dict[str, dict[str, float]]:
+def best(**functions: Callable[[Stopwatch], Any]) -> dict[str, dict[str, float]]:
     """Return the least seconds of each function, called in turn, as a whole ("") and of its stages."""
     found: dict[str, dict[str, float]] = {name: {} for name in functions}
     for _ in range(REPEATS):
         for name, function in functions.items():
-            clock, start = Clock(), time.perf_counter()
+            clock, start = Stopwatch(), time.perf_counter()
             function(clock)
             clock.seconds[""] = time.perf_counter() - start
             known = found[name]
@@ -95,10 +95,10 @@ def measured(shape: str, variant: str) -> dict[str, dict[str, float]]:
     longer = shaken(study, model, np.arange(2000) * instants[1])
     sums, many = coordinates_of(longer), displacements_mm(displacements(longer, model.surface)[0])
 
-    def one_by_one(_: Clock) -> None:
+    def one_by_one(_: Stopwatch) -> None:
         for instant in range(NAIVE):
             figure = normal_equations(optics, moved[instant : instant + 1])
-            trace_figures(optics, figure, coordinates, device, Clock())
+            trace_figures(optics, figure, coordinates, device, Stopwatch())
 
     found = best(
         standard=lambda clock: standard_method(optics, motion, coordinates, device, clock, rest),

@@ -3,6 +3,7 @@
 import importlib.util
 import io
 import json
+import pkgutil
 import sys
 from pathlib import Path
 
@@ -27,6 +28,11 @@ def text_of(table):
 )
 def test_a_row_says_whether_it_is_met(value, least, word):
     assert Row("x", value, 2.0, 3.0, least).word == word
+
+
+def test_every_benchmark_finds_what_it_takes_of_the_package():
+    for one in pkgutil.iter_modules(command.benchmarks.__path__):
+        importlib.import_module(f"benchmarks.{one.name}")
 
 
 def test_rows_are_collected_from_processes_of_their_own_and_failures_have_a_reason(tmp_path, monkeypatch):
