@@ -230,7 +230,7 @@ def test_temperatures_of_ansys_bend_a_body_without_stress(tmp_path, monkeypatch)
             sys.modules, name, SimpleNamespace(mapdl=SimpleNamespace(reader=reader), reader=reader)
         )
     monkeypatch.setattr(
-        "wavequake.mechanics.nodal.rst.library_arrays", lambda path, what: read_results(path, what)
+        "wavequake.mechanics.nodal.rst.reader_arrays", lambda path, what: read_results(path, what)
     )
     points = AnsysResults.points
     nodes = [f"{k}, {x!r}, {y!r}, {z!r}" for k, (x, y, z) in enumerate(points.tolist(), 1)]

@@ -24,10 +24,10 @@ def read_matrices(path: Path) -> Contents:
     UserError
         If ansys-mapdl-reader is not installed, or the file is no ``.full`` file.
     """
-    return _contents(library_arrays(path, ""), path.name)
+    return _contents(reader_arrays(path, ""), path.name)
 
 
-def library_arrays(path: Path, what: str) -> user_files.Arrays:
+def reader_arrays(path: Path, what: str) -> user_files.Arrays:
     """Return what ansys-mapdl-reader reads of a file: "displacements", "temperatures" or (empty) matrices.
 
     Raises

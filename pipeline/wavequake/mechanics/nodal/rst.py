@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.ansys import library_arrays
+from wavequake.mechanics.importers.ansys import reader_arrays
 from wavequake.mechanics.nodal.step import Kind, Step, Written
 
 _KINDS: dict[int, Kind] = {0: "case", 2: "mode", 4: "time"}  # Ansys' analysis types
@@ -37,7 +37,7 @@ def read_temperatures(path: Path) -> Written:
 
 
 def _read(path: Path, what: str) -> Written:
-    arrays = library_arrays(path, what)
+    arrays = reader_arrays(path, what)
     kind = _KINDS.get(int(arrays["analysis"]))
     if kind is None:
         raise UserError(f"{path.name} holds no static, modal or transient analysis of Ansys")
