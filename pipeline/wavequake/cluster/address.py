@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from wavequake.cluster.local import close, silence
+from wavequake.cluster.local import close, prepare_driver
 from wavequake.cluster.template import Tls, tls_settings
 from wavequake.errors import UserError
 
@@ -28,7 +28,7 @@ def connected(address: str, timeout_s: float = 10.0, tls: Tls | None = None) -> 
     from distributed import Client
     from distributed.security import Security
 
-    silence()
+    prepare_driver()
     try:
         with dask.config.set(tls_settings(tls)):
             client = Client(address, timeout=timeout_s, security=Security(), set_as_default=False)

@@ -37,8 +37,9 @@ WORKER_ENVIRONMENT = {**THREADS, "DASK_LOGGING__DISTRIBUTED": "critical"}
 UNSET = ("POCL_AFFINITY",)
 
 NO_HTTP = "wavequake.cluster.no_http"
+STEADY_CLOCK = "wavequake.cluster.steady_clock"
 _UNSEEN = {
-    "distributed.worker.preload": [NO_HTTP, "wavequake.cluster.output"],
+    "distributed.worker.preload": [NO_HTTP, STEADY_CLOCK, "wavequake.cluster.output"],
     "distributed.worker.multiprocessing-method": "forkserver",
 }
 # What every worker imports: no thread runs afterwards, and OpenCL is not spoken to, so that it may be forked.
@@ -47,6 +48,7 @@ _IMPORTED = (
     "wavequake.cluster.garbage",
     "distributed.nanny",
     NO_HTTP,
+    STEADY_CLOCK,
     "wavequake.cluster.output",
     "pyopencl",
     "scipy.fft",
@@ -70,12 +72,13 @@ SETTINGS: dict[str, Any] = {
     "distributed.nanny.pre-spawn-environ": {},
     # Workers serve no HTTP, to which everybody of a machine could talk.
     "distributed.worker.http.routes": [],
-    "distributed.worker.preload": [NO_HTTP],
+    "distributed.worker.preload": [NO_HTTP, STEADY_CLOCK],
+    "distributed.scheduler.preload": [STEADY_CLOCK],
 }
 # Without a dashboard, neither does the scheduler.
 NO_DASHBOARD: dict[str, Any] = {
     "distributed.scheduler.http.routes": [],
-    "distributed.scheduler.preload": [NO_HTTP],
+    "distributed.scheduler.preload": [NO_HTTP, STEADY_CLOCK],
 }
 # Between two reports of a worker. Few workers report twice a second by default, which costs their scheduler
 # more than all tasks of a campaign; a death shows at once, by the connection.
@@ -149,7 +152,7 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
     from distributed import Client, LocalCluster
 
     prepare_workers()
-    silence()
+    prepare_driver()
     with worker_environment(), dask.config.set(settings(dashboard) | _UNSEEN):
         client = None
         try:
@@ -256,8 +259,14 @@ def memory_limit() -> int:
     return int(MEMORY_LIMIT)
 
 
-def silence() -> None:
-    """Keep Dask from logging in this process; for good, because threads of a closed cluster still log."""
+def prepare_driver() -> None:
+    """Keep Dask from logging in this process, and from waiting by a clock that may be set.
+
+    For good, because threads of a closed cluster still log.
+    """
+    from wavequake.cluster.steady_clock import keep_time
+
+    keep_time()
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
 

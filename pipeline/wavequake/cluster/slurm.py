@@ -11,7 +11,16 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 from wavequake.cluster.certificate import certificate_file
-from wavequake.cluster.local import NO_HTTP, THREADS, UNSET, close, interrupts_blocked, settings, silence
+from wavequake.cluster.local import (
+    NO_HTTP,
+    STEADY_CLOCK,
+    THREADS,
+    UNSET,
+    close,
+    interrupts_blocked,
+    prepare_driver,
+    settings,
+)
 from wavequake.cluster.scratch import scratch_lines
 from wavequake.cluster.template import Slurm, Tls, tls_settings
 from wavequake.errors import UserError
@@ -54,7 +63,7 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
     from distributed import Client
     from distributed.security import Security
 
-    silence()
+    prepare_driver()
     jobs = template.jobs if workers is None else -(-workers // template.processes)
     with ExitStack() as until_the_end:
         tls = template.tls
@@ -77,7 +86,7 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
                     log_directory=template.log_directory,
                     job_extra_directives=list(template.directives),
                     job_script_prologue=prologue(template),
-                    worker_extra_args=["--preload", NO_HTTP, "--no-dashboard"],
+                    worker_extra_args=["--preload", NO_HTTP, "--preload", STEADY_CLOCK, "--no-dashboard"],
                     protocol="tls://",
                     security=Security(),
                     scheduler_options={

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wavequake.cluster.certificate import make_certificate, make_security
-from wavequake.cluster.local import THREADS, UNSET, close, settings, silence
+from wavequake.cluster.local import THREADS, UNSET, close, prepare_driver, settings
 from wavequake.cluster.scratch import SETTING
 from wavequake.cluster.template import Ssh, tls_paths, tls_settings
 from wavequake.errors import UserError
@@ -40,7 +40,7 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
     import dask
     from distributed import SSHCluster
 
-    silence()
+    prepare_driver()
     environment = " ".join(
         [*(f"-u {name}" for name in UNSET), *(f"{name}={value}" for name, value in THREADS.items())]
     )
