@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import NUMPY, Device, choose_device
+from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import from_tiles, padded
 from wavequake.kernels.sums.opd import path_differences
-from wavequake.kernels.sums.ray_sums import ray_moments
 from wavequake.kernels.trace.sequence import Rays, TracedRays
 from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.kernels.trace.status import GAP, VIGNETTED
@@ -38,7 +37,6 @@ from wavequake.optics.systems.system import (
     wavelength_of,
     with_surface,
 )
-from wavequake.optics.wavefronts.fits import fit_instants, pupil_fit
 from wavequake.optics.wavefronts.record import ARRAYS, Wavefront
 from wavequake.optics.wavefronts.wavefront import (
     about_chief,
@@ -203,13 +201,7 @@ def _in_sequence(
     gap = (found["status"] == VIGNETTED) & (found["surface"] == system.segmented)
     found["status"][gap] = GAP
     opd, traced = path_differences(found["path"], path, wave), TracedRays(**found)  # type: ignore[arg-type]
-    wavefront, weight = analyse_system(whole, opd, traced, chief), whole.fit.weight
-    # The polynomials are not orthogonal on glass with gaps: the plane that fits best is a fit of its own.
-    x, y = whole.pupil.T
-    plane = pupil_fit(x, y, weight, 3, parent.pupil.obscuration)
-    tilt = np.ascontiguousarray(plane.basis[:, 1:3].T), fit_instants(plane, opd, NUMPY)[:, 1:3]
-    flat = ray_moments(opd, traced.x, traced.y, weight, *tilt, NUMPY)
-    return replace(wavefront, rms_flat=flat.rms_flat, pv=flat.pv, strehl=flat.strehl)
+    return analyse_system(whole, opd, traced, chief)
 
 
 def _glass(system: OpticalSystem, number: int) -> Opening:
