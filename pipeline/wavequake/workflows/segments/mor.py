@@ -27,6 +27,7 @@ from wavequake.prepared import prepared
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import check_variants
+from wavequake.workflows.mirrors.compared_models import image_error
 from wavequake.workflows.mirrors.segment_body import NM_PER_MM, height_rows
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
@@ -90,7 +91,7 @@ def judged(
         **{name: value for name, value in seen.items() if name != "opd"},
         "wfe_error": _apart(model.bench.prepared, seen["opd"], truth[1]["opd"], seen["wfe_rms"].shape[1]),
         "los_error": np.linalg.norm(seen["los_mm"] - truth[1]["los_mm"], axis=2),
-        "image_error": _image_error(seen["exposure"], truth[1]["exposure"]),
+        "image_error": image_error(seen["exposure"], truth[1]["exposure"]),
         "resolution_mm": resolution(model.bench),
     }
 
@@ -223,12 +224,6 @@ def flattened(prepared: PreparedTrace, opd: Array) -> Array:
 def _apart(prepared: PreparedTrace, opd: Array, reference: Array, instants: int) -> Array:
     """Return the rms over the rays of the differences of wavefronts, (excitation, time), nm."""
     return np.stack([_rms(prepared, part)[:instants] for part in opd - reference])
-
-
-def _image_error(images: Array, reference: Array) -> Array:
-    """Return the L2 norms of the differences of unit-energy images, (excitation,)."""
-    one, two = (part / part.sum(axis=(1, 2), keepdims=True) for part in (images, reference))
-    return np.asarray(np.sqrt(np.sum((one - two) ** 2, axis=(1, 2))))
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
