@@ -258,9 +258,8 @@ def check(study_text: str) -> None:
     """Raise UserError where telescope, segment, variants or excitations do not fit."""
     study, model = study_of(study_text), model_of(study_text)
     check_variants(model.stage, study.reduction.variants)
-    for disturbed in study.segments.disturbed:
-        first = chosen_segments(study, model.bench, disturbed)[:1].tolist()
-        motions(study, model, model.reference, first)
+    firsts = {int(chosen_segments(study, model.bench, one)[0]) for one in study.segments.disturbed}
+    motions(study, model, model.reference, sorted(firsts))
 
 
 KIND = StudyKind("segment-mor", template, case_table, compute, describe, check=check, model=SegmentMorStudy)
