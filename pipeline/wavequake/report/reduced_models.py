@@ -7,14 +7,11 @@ import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, STYLE, one_panel
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
-
-Array = NDArray[np.float64]
 
 _MARKS = "osD^v<>Pp*"
 
