@@ -80,7 +80,7 @@ def test_a_detector_that_moves_sees_the_image_move_against_it(tmp_path, name):
     unit = 1.0
     if name == "far":
         unit = 1.0 / (1e6 * paraxial(optics.bench.system).focal_length * RAD_PER_MAS)
-    np.testing.assert_allclose(optics.sights["steer"][:2], -unit * np.eye(2), atol=1e-6 * abs(unit))
+    np.testing.assert_allclose(optics.sights["stage"][:2], -unit * np.eye(2), atol=1e-6 * abs(unit))
 
 
 def test_what_is_seen_goes_straight_between_its_instants(tmp_path):

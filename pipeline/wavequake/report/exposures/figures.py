@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel
 
 Array = NDArray[np.float64]
 
@@ -73,7 +72,7 @@ def line_of_sight(time_ms: Array, tracks: Mapping[str, Array], unit: str) -> Fig
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     for place, axes in enumerate(figure.subplots(2, sharex=True)):
         for number, (name, track) in enumerate(tracks.items()):
-            axes.plot(time_ms, track[:, place], label=name, **_style(number))
+            axes.plot(time_ms, track[:, place], label=name, **curve_style(number))
         axes.set_ylabel(f"line of sight {'xy'[place]} ({unit})")
     axes.set_xlabel("time (ms)")
     _legend_above(figure, axes)
@@ -83,10 +82,9 @@ def line_of_sight(time_ms: Array, tracks: Mapping[str, Array], unit: str) -> Fig
 @rc_context(STYLE)
 def wavefront_error(time_ms: Array, histories: Mapping[str, Array]) -> Figure:
     """Draw the rms of the wavefront over time (Fig. 4.44)."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     for number, (name, values) in enumerate(histories.items()):
-        axes.plot(time_ms, values, label=name, **_style(number))
+        axes.plot(time_ms, values, label=name, **curve_style(number))
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time (ms)")
     axes.set_ylabel("wavefront error rms, j ≥ 4 (nm)")
@@ -97,7 +95,3 @@ def wavefront_error(time_ms: Array, histories: Mapping[str, Array]) -> Figure:
 def _legend_above(figure: Figure, axes: Axes) -> None:
     """Name the curves outside: histories fill their panels."""
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", fontsize=7.5, ncols=3)
-
-
-def _style(number: int) -> dict[str, Any]:
-    return {"color": COLORS[number % len(COLORS)], "linestyle": LINES[number % len(LINES)], "linewidth": 1.3}

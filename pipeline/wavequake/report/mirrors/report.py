@@ -22,11 +22,11 @@ from wavequake.report.mirrors.variants import (
     criterion_of,
     few,
     largest,
-    left_out,
     model_results,
     representatives,
 )
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 
 _SMALL_PRINT = (
@@ -102,7 +102,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         sections=[Section(model.name, list(_figures(dataset, model))) for model in models],
         definitions=list(_DEFINITIONS),
         kind="variant",
-        left_out=left_out(dataset),
+        left_out=left_out(dataset, ["model", "variant"]),
     )
     return write_page(render_page(dataset, page), target)
 
