@@ -30,6 +30,11 @@ class Modal(Controller):
 
     model: Literal["modal"] = "modal"
 
+    @property
+    def asks_modes(self) -> bool:
+        """It does."""
+        return True
+
     def design(self, asked: Design) -> Regulator:
         """Return observer and row.
 
