@@ -15,7 +15,7 @@ class ShakenSection(Section):
         default="vlt-eris", description="set of vibration lines (docs/systems.md); those along the motion"
     )
     lines_mas: float = Field(default=10.0, gt=0, le=1e9, description="rms of the lines together")
-    fwhm_hz: float = Field(default=0.2, gt=0, le=2.0, description="width of the lines of a set")
+    fwhm_hz: float = Field(default=0.2, ge=0.01, le=2.0, description="width of the lines of a set")
 
     @model_validator(mode="after")
     def _something_moves(self) -> "ShakenSection":
