@@ -53,7 +53,7 @@ def test_an_elliptic_aperture_is_a_polygon_of_its_area():
     place = np.array([0.5 + 1.99, 0.5 + 2.01, 0.5, 0.5, 0.5 - 1.99]), np.array([0.0, 0.0, 2.99, 3.01, 0.0])
     inside = on_glass(opening_regions(opening), *place)
     np.testing.assert_array_equal(inside, [True, False, True, False, True])
-    with pytest.raises(UserError, match="elliptic aperture of 0 and 3 mm; both must be positive"):
+    with pytest.raises(UserError, match="an aperture of 0 by 3 mm; both must be positive"):
         read("  STOP\n  ELAP 0 3 0\n  DISZ 1")
 
 

@@ -169,8 +169,12 @@ def _followed_chief(
     before: tuple[float, Array] | None = None
     at, step = 0.0, _FIRST_STEP
     bundle, start = _bundle(system, data, 0.0 * field, wavelength)
-    here = newton(replace(aim, bundle=bundle), start[:, None], zero)
-    if not _aimed(replace(aim, bundle=bundle), here, zero).all():
+    at_axis = replace(aim, bundle=bundle)
+    for begin in (start[:, None], zero):  # first-order data are coarse where all stands off the axis
+        here = newton(at_axis, begin, zero)
+        if _aimed(at_axis, here, zero).all():
+            break
+    else:
         return None
     while at < 1.0:
         goal = min(at + step, 1.0)

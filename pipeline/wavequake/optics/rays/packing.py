@@ -108,8 +108,8 @@ def _deformation_grid(form: GridDeformation | None) -> Grid | None:
 def opening_regions(opening: Opening) -> tuple[Region, ...]:
     """Return the regions whose intersection is an opening.
 
-    A polygon replaces the outer circle; the inner circle and the spider arms, which reach from the center
-    outwards, block.
+    A polygon replaces the outer circle; the inner circle, the dark polygon and the spider arms, which reach
+    from the center outwards, block.
 
     Raises
     ------
@@ -130,6 +130,8 @@ def opening_regions(opening: Opening) -> tuple[Region, ...]:
         regions.append(Region("circle", (x, y, opening.outer)))
     if opening.inner > 0.0:
         regions.append(Region("circle", (x, y, opening.inner), blocks=True))
+    if opening.dark:
+        regions.append(replace(_polygon(np.asarray(opening.dark, dtype=np.float64), x, y), blocks=True))
     for angle, width in opening.arms:
         if not (isfinite(angle) and isfinite(width) and width > 0.0):
             raise UserError(f"a spider arm has the angle {angle} rad and the width {width} mm")

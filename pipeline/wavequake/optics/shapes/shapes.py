@@ -61,11 +61,11 @@ Deformation = ZernikeDeformation | GridDeformation
 
 @dataclass(frozen=True)
 class Opening:
-    """Where a surface lets light through: a circle, an annulus or a simple polygon, less spider arms.
+    """Where a surface lets light through: a circle, an annulus or a simple polygon, less what stands in it.
 
     ``outer`` and ``inner`` are radii (inner 0: none); ``corners`` (counterclockwise) replace the outer
-    circle. Each spider arm is a strip: angle (rad) from the x axis and full width. All are about ``center``,
-    by default the vertex.
+    circle. Each spider arm is a strip: angle (rad) from the x axis and full width. ``dark`` are the corners
+    (counterclockwise) of a simple polygon that stops light. All are about ``center``, by default the vertex.
     """
 
     outer: float = np.inf
@@ -73,6 +73,7 @@ class Opening:
     corners: tuple[tuple[float, float], ...] = ()
     arms: tuple[tuple[float, float], ...] = ()
     center: tuple[float, float] = (0.0, 0.0)
+    dark: tuple[tuple[float, float], ...] = ()
 
 
 SurfaceAction = Literal["reflect", "refract", "pass"]

@@ -1,5 +1,6 @@
 """The ray along the axis of a sequential system: its way from vertex to vertex and what it meets there."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -139,7 +140,7 @@ def _off_vertex(
     """
     turn = surface.rotation
     place, d = turn.T @ (point - surface.position), turn.T @ direction
-    way = 0.0
+    way = _way_to_conic(surface, place, d)
     for _ in range(_STEPS):
         x, y, z = place + way * d
         sag, slope_x, slope_y = (float(one) for one in shape_sag(surface.shape, x, y))
@@ -174,6 +175,17 @@ def _off_vertex(
         power,
         float(np.arccos(min(abs(cosine), 1.0))),
     )
+
+
+def _way_to_conic(surface: Surface, place: Array, d: Array) -> float:
+    """Return the way from the vertex plane to the conic under a surface; 0 if the ray misses it."""
+    curvature, form = 1.0 / surface.shape.radius, np.array([1.0, 1.0, 1.0 + surface.shape.conic])
+    along = curvature * float(form @ d**2)
+    half = float(d[2]) - curvature * float(form @ (place * d))
+    start = curvature * float(form @ place**2) - 2.0 * float(place[2])
+    square = half**2 - along * start
+    root = half + math.copysign(math.sqrt(square), half) if square >= 0.0 else 0.0
+    return start / root if root else 0.0
 
 
 def _normal_curvature(surface: Surface, hit: Array, lean: Array, direction: Array) -> float:

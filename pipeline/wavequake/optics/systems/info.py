@@ -204,6 +204,7 @@ def _opening(opening: Opening | None) -> str:
     if opening.inner:
         text = f"{_number(opening.inner)} to {text}"
     text += f", {len(opening.arms)} arms" if opening.arms else ""
+    text += f", dark polygon of {len(opening.dark)}" if opening.dark else ""
     x, y = opening.center
     return text + (f" about ({_number(x)}, {_number(y)})" if x or y else "")
 

@@ -289,7 +289,8 @@ def _surface(
     own = next((one for one in reversed(found) if not one.turn), None)
     lines += own.lines if own else ()
     more = [one for one in found if one is not own]
-    semi_diameter = opening.outer
+    reach = np.hypot(*np.array(opening.dark).T).max() if opening.dark else 0.0
+    semi_diameter = 2.0 * float(reach) if reach and math.isinf(opening.outer) else opening.outer
     if index == system.stop:
         lines.append("STOP")
         if system.pupil.kind == "stop":

@@ -1,7 +1,8 @@
 """What follows a surface of a .zmx file: mirrors, glasses, constant indices and gradients."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from wavequake.errors import UserError
 from wavequake.optics.media.environment import Environment
@@ -20,11 +21,12 @@ from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.media.model_glass import model_glass
 from wavequake.optics.shapes.shapes import SurfaceAction
 from wavequake.optics.zemax.gradients import GRADIENTS, gradient
-from wavequake.optics.zemax.rows import Line, Row, as_number, fail
+from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail
 
 MODEL_GLASS = "___BLANK"
+_NUMBER = re.compile(r"\d{6}")
 
-_MODEL, _OFFSET = "1", "4"  # how the glass of a surface is given: as numbers, or as a glass and a difference
+_MODEL, _PICKUP, _OFFSET = "1", "2", "4"  # a glass by numbers, of another surface, with another index
 _D_LINE = 587.5618e-6
 _SAME_INDEX, _SAME_ABBE = 1e-3, 0.5
 _DEFAULT = (1.5, 40.0)  # what a file says of index and Abbe number where it does not know them
@@ -103,6 +105,23 @@ def _knows_d(medium: Medium) -> bool:
     return medium.range_nm[0] <= 1e6 * _D_LINE <= medium.range_nm[1]
 
 
+def picked_up(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """Return rows whose glass, if it is that of another surface, stands in them.
+
+    A pickup names its glass itself where that has a name; a model glass, and air, it does not.
+    """
+    found: list[Row] = []
+    for row in rows:
+        line = row.one("GLAS")
+        if line is not None and line.words[:2] == [MODEL_GLASS, _PICKUP]:
+            number = as_integer(line, 2)
+            if not 0 <= number < len(found):
+                fail(line, f"{row.label} takes the glass of surface {number}, which does not stand before it")
+            row = replace(row, lines={**row.lines, "GLAS": found[number].lines.get("GLAS", [])})
+        found.append(row)
+    return tuple(found)
+
+
 def medium_after(
     row: Row, before: Medium | GradientIndex, scale: float, shelf: GlassShelf
 ) -> tuple[SurfaceAction, Medium | GradientIndex]:
@@ -144,11 +163,16 @@ def _glass(line: Line, row: Row, shelf: GlassShelf) -> Medium:
     if kind == _OFFSET and any(as_number(line, k) for k in (6, 7) if len(words) > k):
         fail(line, f"{row.label} has a glass with an offset of its index, which is not supported")
     try:
-        medium = shelf.find(name)
+        medium = _by_number(name) if _NUMBER.fullmatch(name) else shelf.find(name)
     except UserError as error:
         fail(line, f"{row.label}: {error}".rstrip("."))
     shelf.compare(medium, line, index, abbe)
     return _at(medium, line, row, shelf)
+
+
+def _by_number(name: str) -> Medium:
+    """Return the glass of a six-digit number: 517642 has the index 1.517 and the Abbe number 64.2."""
+    return model_glass(1.0 + int(name[:3]) / 1000.0, int(name[3:]) / 10.0)
 
 
 def _at(medium: Medium, line: Line, row: Row, shelf: GlassShelf) -> Medium:

@@ -19,7 +19,7 @@ from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.shapes.polygons import concave
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening, Shape, ZernikeSag
 from wavequake.optics.zemax.rows import written
-from wavequake.optics.zemax.surfaces import CORNERS, ellipse, spider
+from wavequake.optics.zemax.surfaces import CORNERS, RING_GROWTH, ellipse, rectangle, ring, spider
 
 Array = NDArray[np.float64]
 
@@ -57,6 +57,8 @@ def apertures(opening: Opening, shape: Shape, name: str) -> list[Aperture]:
                 "along x, which a lens file cannot hold."
             )
         found.append(Aperture((f"SPID {written(arms[0][1])} {len(arms)} 0", *shift), shape))
+    if opening.dark:
+        found.append(Aperture((_obscuration(opening, name), *shift), shape))
     if opening.corners:
         found += _polygon(opening, shape, name)
     elif math.isfinite(opening.outer):
@@ -64,6 +66,25 @@ def apertures(opening: Opening, shape: Shape, name: str) -> list[Aperture]:
     if opening.inner and not (math.isfinite(opening.outer) and not opening.corners):
         found.append(Aperture((f"OBSC 0.0 {written(opening.inner)} 0", *shift), shape))
     return found
+
+
+def _obscuration(opening: Opening, name: str) -> str:
+    """Return the line of a dark rectangle, ellipse or ring."""
+    corners = np.array(opening.dark)
+    low, high = (float(one) for one in corners.max(axis=0))
+    inner, outer = (float(one) / RING_GROWTH for one in np.hypot(*corners.T)[[-1, 0]])
+    half = _half_axes(corners)
+    for line, same in (
+        (f"SQOB {written(low)} {written(high)} 0", rectangle(low, high)),
+        (f"ELOB {written(half[0])} {written(half[1])} 0", ellipse(*half)),
+        (f"OBSC {written(inner)} {written(outer)} 0", ring(inner, outer)),
+    ):
+        if len(same) == len(corners) and np.abs(corners - same).max() < _SAME * np.abs(corners).max():
+            return line
+    raise UserError(
+        f"The surface {name} has a dark polygon that is no rectangle along x and y, ellipse or ring, which a "
+        "lens file cannot hold."
+    )
 
 
 def _polygon(opening: Opening, shape: Shape, name: str) -> Iterator[Aperture]:
@@ -112,8 +133,7 @@ def _turned(shape: Shape, turn: float) -> Shape | None:
 
 def _half_axes(corners: Array) -> tuple[float, float]:
     """Return the half-axes of the ellipse that the corners may stand for."""
-    grown = ellipse(1.0, 1.0)[0][0]
-    return float(corners[:, 0].max()) / grown, float(corners[:, 1].max()) / grown
+    return float(corners[:, 0].max()) / RING_GROWTH, float(corners[:, 1].max()) / RING_GROWTH
 
 
 def _directions(corners: Array) -> list[float]:

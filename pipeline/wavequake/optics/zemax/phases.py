@@ -2,28 +2,40 @@
 
 DGRATING has grooves along x, PARM 1 per micrometer of y, and the order PARM 2. BINARY_1 and BINARY_2 have
 the order PARM 0, an even asphere PARM 1 to 8, and as extra data the number of terms, their normalization
-radius and the terms in rad, of x, y, x^2, ... or of the radius squared, to the fourth, ... PARAXIAL has the
-focal length PARM 1 and a mode of its paths, PARM 2, which are always those between object and image here.
+radius and the terms in rad, of x, y, x^2, ... or of the radius squared, to the fourth, ... FZERNPHA has
+Fringe polynomials in waves instead. TOROGRAT is a toroid (PARM 1 its radius along x) with the grooves PARM 2
+and the order PARM 3. PARAXIAL has the focal length PARM 1 and a mode of its paths, PARM 2, which are always
+those between object and image here.
 """
 
+import math
+
+import numpy as np
+
 from wavequake.errors import UserError
+from wavequake.optics.polynomials.indices import convert_coefficients
+from wavequake.optics.polynomials.zernike import circular_zernike_xy, noll_to_nm
+from wavequake.optics.shapes.forms.toroid import Toroid
 from wavequake.optics.shapes.phases import Diffraction, Effect, PerfectLens
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Shape
-from wavequake.optics.zemax.rows import Row, fail, numbered, powers_scaled, written
+from wavequake.optics.zemax.rows import Row, fail, numbered, powers_scaled, require_no_numbers, written
 
 MAX_EVEN_TERMS = 8
 MAX_TERMS = 240
 GROOVES_PER_MM = 1e3  # for one per micrometer
 
-PHASES = ("DGRATING", "BINARY_1", "BINARY_2", "PARAXIAL")
+PHASES = ("DGRATING", "TOROGRAT", "BINARY_1", "BINARY_2", "FZERNPHA", "PARAXIAL")
+_FRINGE_TERMS = 36  # after them comes term 49 of the full set
 
 
 def phase_base(row: Row, scale: float, radius: float, conic: float) -> Shape:
     """Return the shape of a surface that has a phase; `scale` is mm per unit of the file."""
     if row.type == "PARAXIAL":
         return Conic()
-    if row.type == "DGRATING":
+    if row.type in ("DGRATING", "FZERNPHA"):
         return Conic(radius, conic)
+    if row.type == "TOROGRAT":
+        return Toroid(radius, conic, numbered(row, "PARM", 1, 3).get(1, 0.0) * scale or math.inf)
     even = {k: value for k, value in numbered(row, "PARM", 0, MAX_EVEN_TERMS).items() if k}
     terms = powers_scaled(even, scale, 2, 2)
     return EvenAsphere(radius, conic, terms) if terms else Conic(radius, conic)
@@ -39,6 +51,9 @@ def phase(row: Row, scale: float) -> Effect | None:
     if row.type == "DGRATING":
         given = numbered(row, "PARM", 1, 2)
         return Diffraction(given.get(2, 0.0), given.get(1, 0.0) * GROOVES_PER_MM)
+    if row.type == "TOROGRAT":
+        given = numbered(row, "PARM", 1, 3)
+        return Diffraction(given.get(3, 0.0), given.get(2, 0.0) * GROOVES_PER_MM)
     if row.type not in PHASES:
         return None
     data = row.table("XDAT")
@@ -51,9 +66,27 @@ def phase(row: Row, scale: float) -> Effect | None:
         )
     terms = tuple(data.get(3 + k, 0.0) for k in range(int(count)))
     order, radius = row.table("PARM").get(0, 0.0), norm * scale
+    if row.type == "FZERNPHA":
+        return _fringe_phase(row, terms, radius)
     if row.type == "BINARY_1":
         return Diffraction(order, polynomial=terms, normalization_radius=radius)
     return Diffraction(order, radial=terms, normalization_radius=radius)
+
+
+def _fringe_phase(row: Row, waves: tuple[float, ...], radius: float) -> Diffraction:
+    """Return Fringe polynomials in waves as a phase; parameter 0 is the order, 1 only extrapolates."""
+    given = row.table("PARM")
+    require_no_numbers(row, "PARM", {k: value for k, value in given.items() if k > 1})
+    if len(waves) > _FRINGE_TERMS + 1:
+        fail(row.line, f"{row.label} has {len(waves)} terms; Fringe polynomials are {_FRINGE_TERMS + 1}")
+    coefficients = np.array(waves[:_FRINGE_TERMS])
+    if any(waves[_FRINGE_TERMS:]):
+        coefficients = np.concatenate([coefficients, np.zeros(12), waves[_FRINGE_TERMS:]])
+    noll = convert_coefficients(coefficients, "fringe", "noll")
+    degree = noll_to_nm(len(noll))[0] if len(noll) else 0
+    powers = 2.0 * math.pi * circular_zernike_xy(degree, len(noll)) @ noll
+    # A constant phase moves nothing: paths are compared between rays of one system.
+    return Diffraction(given.get(0, 0.0), polynomial=tuple(powers[1:].tolist()), normalization_radius=radius)
 
 
 def phase_lines(effect: Effect, shape: Shape, where: str) -> list[str]:

@@ -28,10 +28,17 @@ from wavequake.optics.zemax.configurations import count_of, with_configuration, 
 from wavequake.optics.zemax.fields import is_afocal, is_telecentric, wavelengths, with_fields
 from wavequake.optics.zemax.header import environment_of, left_aside, require_supported
 from wavequake.optics.zemax.lens_file import LensFile, Problems, parsed, scale_of
-from wavequake.optics.zemax.media import GlassShelf, medium_after
+from wavequake.optics.zemax.media import GlassShelf, medium_after, picked_up
 from wavequake.optics.zemax.phases import phase
 from wavequake.optics.zemax.rows import OPENINGS, Row, as_number, fail
-from wavequake.optics.zemax.surfaces import coordinate_break, opening, own_breaks, shape
+from wavequake.optics.zemax.surfaces import (
+    coordinate_break,
+    opening,
+    own_breaks,
+    reaches_beyond,
+    shape,
+    tilted_image,
+)
 
 
 def read_zmx(
@@ -73,7 +80,7 @@ def system_of(
     file = with_configuration(file, configuration)
     where, problems = file.where, Problems()
     with problems.collected():
-        file = _from_the_object(file)
+        file = _from_the_object(replace(file, rows=picked_up(file.rows)))
     catalogues = file.first("GCAT")
     shelf = GlassShelf(glasses or {}, tuple(catalogues.words) if catalogues else ())
     with problems.collected():
@@ -161,11 +168,17 @@ def _notes(file: LensFile, configuration: int | None) -> list[str]:
         found.append(
             "The file says that light leaves the system parallel; wavefronts need a focusing surface."
         )
-    rings = [row.label for row in file.rows if (line := row.one("OBSC")) and as_number(line, 0) > 0.0]
+    rings = [
+        row.label
+        for row in file.rows
+        if (line := row.one("OBSC")) and as_number(line, 0) > 0.0 and not reaches_beyond(row, line)
+    ]
     if rings:
         names = ", ".join(dict.fromkeys(rings))
         found.append(f"Ring-shaped obscurations stop here all light beyond their inner radius: {names}.")
-    if ellipses := ", ".join(dict.fromkeys(row.label for row in file.rows if row.one("ELAP"))):
+    if ellipses := ", ".join(
+        dict.fromkeys(row.label for row in file.rows if row.one("ELAP") or row.one("ELOB"))
+    ):
         found.append(f"Elliptic apertures are polygons of 72 corners and the same area here: {ellipses}.")
     return [one for one in found if one]
 
@@ -203,6 +216,8 @@ def _prescription(
                 one = replace(one, action=action, medium=medium if action == "refract" else AIR)
         with problems.collected():
             one = replace(one, shape=shape(row, scale), phase=phase(row, scale))
+        if last and row.type == "TILTSURF":
+            before, one = None, replace(one, shape=tilted_image(row))
         with problems.collected():
             one = replace(one, opening=opening(row, scale))
         if after is not None:

@@ -10,6 +10,7 @@ import numpy as np
 from wavequake.optics.polynomials.indices import convert_coefficients
 from wavequake.optics.polynomials.transforms import powers_as_zernike
 from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.forms.odd_asphere import OddAsphere
 from wavequake.optics.shapes.shape import shape_of_type, zemax_types
 from wavequake.optics.shapes.shapes import (
     Conic,
@@ -26,6 +27,7 @@ from wavequake.optics.zemax.grids import grid_sag
 from wavequake.optics.zemax.phases import MAX_EVEN_TERMS, PHASES, phase_base
 from wavequake.optics.zemax.rows import (
     OPENINGS,
+    Line,
     Row,
     as_count,
     as_integer,
@@ -36,10 +38,16 @@ from wavequake.optics.zemax.rows import (
     require_no_numbers,
 )
 
-MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37, "GRID_SAG": 231}  # up to degree 20
+MAX_TERMS = {  # up to degree 20; of aspheres, up to the power 480 and 240
+    **{"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37, "GRID_SAG": 231},
+    **{"XASPHERE": 240, "XOSPHERE": 240},
+}
 
 _FRINGE_TERMS = 36
 CORNERS = 72  # of the polygon that stands for an ellipse
+RING_GROWTH = math.sqrt(2.0 * math.pi / CORNERS / math.sin(2.0 * math.pi / CORNERS))
+"""By how much the corners of that polygon stand beyond a circle of its area."""
+_SLIT = 1e-6  # rad, through which the inside of a dark ring is joined to what lies around it
 _ASPHERE = range(1, 9)  # parameters of rho^2 to rho^16 beside Zernike polynomials
 
 _Builder = Callable[[Row, float, float, float], Shape]
@@ -57,6 +65,10 @@ def shape(row: Row, scale: float) -> Shape:
         "SZERNSAG": _zernike,
         "FZERNSAG": _zernike,
         "GRID_SAG": _grid_sag,
+        "XASPHERE": _extended_asphere,
+        "XOSPHERE": _extended_asphere,
+        "TILTSURF": _tilted,
+        "IRREGULA": _irregular,
     }
     if row.type in builders:
         return builders[row.type](row, scale, radius, kappa)
@@ -85,6 +97,46 @@ def _extended_polynomial(row: Row, scale: float, radius: float, conic: float) ->
     require_no_numbers(row, "PARM", row.table("PARM"))
     coefficients, norm = _extra_data(row, scale)
     return ExtendedPolynomial(radius, conic, coefficients, norm)
+
+
+def _extended_asphere(row: Row, scale: float, radius: float, conic: float) -> EvenAsphere | OddAsphere:
+    # Powers of the distance over the normalization radius: even ones, or all of them.
+    require_no_numbers(row, "PARM", row.table("PARM"))
+    terms, norm = _extra_data(row, scale)
+    even = row.type == "XASPHERE"
+    step = 2 if even else 1
+    powers = tuple(term / norm ** (step * k) for k, term in enumerate(terms, start=1))
+    return EvenAsphere(radius, conic, powers) if even else OddAsphere(radius, conic, powers)
+
+
+def _tilted(row: Row, scale: float, radius: float, conic: float) -> Conic:
+    return Conic()  # `own_breaks` turns it
+
+
+def tilted_image(row: Row) -> ExtendedPolynomial:
+    """Return a plane z = a x + b y (TILTSURF), on which light is measured along the axes before it."""
+    return ExtendedPolynomial(math.inf, 0.0, _slopes(row))
+
+
+def _slopes(row: Row) -> tuple[float, float]:
+    given = numbered(row, "PARM", 1, 2)
+    return given.get(1, 0.0), given.get(2, 0.0)
+
+
+def _irregular(row: Row, scale: float, radius: float, conic: float) -> Conic | ExtendedPolynomial:
+    """Return a conic with spherical aberration, astigmatism along y and coma of the rim, PARM 5 to 7.
+
+    They are heights at the semi-diameter; where it stands is said by `own_breaks`.
+    """
+    given = numbered(row, "PARM", 0, 7)  # 8 turns astigmatism and coma
+    ball, along, coma = (given.get(k, 0.0) * scale for k in (5, 6, 7))
+    if not any((ball, along, coma)):
+        return Conic(radius, conic)
+    size = row.one("DIAM")
+    if size is None or not as_number(size, 0) > 0.0:
+        fail(size or row.line, f"{row.label} has irregularities at its rim, but no semi-diameter (DIAM)")
+    terms = [*(0.0, 0.0), *(0.0, 0.0, along), *(0.0, coma, 0.0, coma), *(ball, 0.0, 2.0 * ball, 0.0, ball)]
+    return ExtendedPolynomial(radius, conic, tuple(terms), as_number(size, 0) * scale)
 
 
 def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
@@ -154,31 +206,57 @@ def opening(row: Row, scale: float) -> Opening | None:
             fail(line, f"{row.label} has a spider whose arms are {width:g} mm wide, not a positive number")
         return Opening(arms=spider(width, count), center=center)
     low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
-    if line.keyword == "SQAP":
-        return Opening(corners=((-low, -high), (low, -high), (low, high), (-low, high)), center=center)
-    if line.keyword == "ELAP":
+    if line.keyword in ("SQAP", "SQOB", "ELAP", "ELOB"):
         if not (low > 0.0 and high > 0.0):
-            fail(
-                line,
-                f"{row.label} has an elliptic aperture of {low:g} and {high:g} mm; both must be positive",
-            )
-        return Opening(corners=ellipse(low, high), center=center)
+            fail(line, f"{row.label} has an aperture of {low:g} by {high:g} mm; both must be positive")
+        square = line.keyword.startswith("SQ")
+        corners = rectangle(low, high) if square else ellipse(low, high)
+        passes = line.keyword.endswith("AP")
+        return Opening(corners=corners, center=center) if passes else Opening(dark=corners, center=center)
+    if line.keyword == "OBSC" and not (low or high):
+        return None
     if not 0 <= low < high:
         fail(
             line,
             f"{row.label} has an aperture from radius {low:g} to {high:g} mm; they must increase from >= 0",
         )
     if line.keyword == "OBSC":
-        # A ring that is dark from `low` on: what passes outside of it, if anything, is stopped, too.
-        return Opening(outer=low, center=center) if low else Opening(inner=high, center=center)
+        if not low:
+            return Opening(inner=high, center=center)
+        if reaches_beyond(row, line):
+            return Opening(dark=ring(low, high), center=center)
+        return Opening(outer=low, center=center)
+    if row.type == "TILTSURF" and any(_slopes(row)):  # whose apertures are those of its projection
+        if low:
+            fail(line, f"{row.label} is a tilted plane with a ring as aperture, which is not supported")
+        x, y = (np.array(ellipse(high, high)) + center).T
+        there = np.stack([x, y, np.stack([x, y], axis=1) @ _slopes(row)], axis=1) @ _plane_axes(row)
+        return Opening(corners=tuple(map(tuple, there[:, :2].tolist())))
     return Opening(outer=high, inner=low, center=center)
+
+
+def reaches_beyond(row: Row, dark: Line) -> bool:
+    """Tell whether a surface is wider than a dark ring (OBSC) on it: light may then pass outside."""
+    size = row.one("DIAM")
+    return size is not None and as_number(size, 0) > as_number(dark, 1)
+
+
+def rectangle(low: float, high: float) -> tuple[tuple[float, float], ...]:
+    """Return the corners of a rectangle of these half widths."""
+    return ((-low, -high), (low, -high), (low, high), (-low, high))
+
+
+def ring(low: float, high: float) -> tuple[tuple[float, float], ...]:
+    """Return the corners of a polygon of the area of a ring between two radii, which a narrow slit opens."""
+    angle = 1.0 + np.linspace(_SLIT, 2.0 * math.pi - _SLIT, CORNERS + 1)  # no usual ray lies in the slit
+    there = np.stack([np.cos(angle), np.sin(angle)], axis=1) * RING_GROWTH
+    return tuple(map(tuple, np.concatenate([high * there, low * there[::-1]]).tolist()))
 
 
 def ellipse(low: float, high: float) -> tuple[tuple[float, float], ...]:
     """Return the corners of a polygon of the area of an ellipse of these half-axes, to 6e-4 of them."""
     angle = 2.0 * math.pi * np.arange(CORNERS) / CORNERS
-    grown = math.sqrt(2.0 * math.pi / CORNERS / math.sin(2.0 * math.pi / CORNERS))
-    x, y = grown * low * np.cos(angle), grown * high * np.sin(angle)
+    x, y = RING_GROWTH * low * np.cos(angle), RING_GROWTH * high * np.sin(angle)
     return tuple(zip(x.tolist(), y.tolist(), strict=True))
 
 
@@ -211,8 +289,14 @@ def own_breaks(row: Row, scale: float) -> tuple[Break | None, Break | None]:
     A line holds which of both it is (1, 2), its order, whose numbers it takes (0 its own, 1 those before this
     surface, 2 their reverse), and these numbers: x, y and the angles, as of a coordinate break.
     """
+    if row.type in ("IRREGULA", "TILTSURF"):
+        if "SCBD" in row.lines:
+            fail(row.lines["SCBD"][0], f"{row.label}, a {row.type}, is tilted itself, which is not supported")
+        return _irregular_breaks(row, scale) if row.type == "IRREGULA" else _tilted_breaks(row)
     given: dict[int, tuple[int, int, list[float]]] = {}
     for line in row.lines.get("SCBD", []):
+        if row.type == "COORDBRK" and line.words[:1] == ["3"]:
+            continue  # whose numbers a coordinate return found; they stand in the file
         which, order, taken = (as_integer(line, place) for place in range(3))
         numbers = [as_number(line, place) for place in range(3, 8)]
         if which not in (1, 2) or which in given or order not in (0, 1):
@@ -234,6 +318,38 @@ def own_breaks(row: Row, scale: float) -> tuple[Break | None, Break | None]:
         for order, _, numbers in (given.get(which, (0, 0, [0.0] * 5)) for which in (1, 2))
     )
     return before, after
+
+
+def _irregular_breaks(row: Row, scale: float) -> tuple[Break | None, Break | None]:
+    """Return the shift and tilt of an irregular surface (PARM 1 to 4), and what undoes them behind it."""
+    given = row.table("PARM")
+    numbers = [*(given.get(k, 0.0) for k in range(1, 5)), 0.0]
+    if not any(numbers):
+        return None, None
+    return _break(numbers, False, scale), _break([-value for value in numbers], True, scale)
+
+
+def _tilted_breaks(row: Row) -> tuple[Break | None, Break | None]:
+    """Return the turns onto a plane z = a x + b y and back; other axes stay."""
+    turn = _plane_axes(row)
+    if (turn == np.eye(3)).all():
+        return None, None
+    there, back = (Break((0.0, 0.0, 0.0), cardan_angles(one), False, 0.0) for one in (turn, turn.T))
+    return there, back
+
+
+def _plane_axes(row: Row) -> np.ndarray:
+    """Return the axes (columns) of a plane z = a x + b y: its normal, and x and y turned the shortest way."""
+    a, b = _slopes(row)
+    cosine = 1.0 / math.sqrt(1.0 + a * a + b * b)
+    share = cosine / (1.0 + cosine)
+    return cosine * np.array(
+        [
+            [1.0 / cosine - share * a * a, -share * a * b, -a],
+            [-share * a * b, 1.0 / cosine - share * b * b, -b],
+            [a, b, 1.0],
+        ]
+    )
 
 
 def cardan_angles(rotation: np.ndarray) -> tuple[float, float, float]:
