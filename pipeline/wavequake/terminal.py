@@ -102,7 +102,7 @@ def print_in_blocks(table: Table) -> None:
 def in_blocks(table: Table, width: int) -> list[Table]:
     """Return a table as blocks of columns, each with the labels, that fit a width without cutting a number.
 
-    Labels are the first columns that are aligned to the left; long ones wrap.
+    Labels are the first columns that are aligned to the left; long ones wrap, if they may.
     """
     gap = sum(table.padding[1::2]) + (table.box is not None)
     wide = [
@@ -113,9 +113,10 @@ def in_blocks(table: Table, width: int) -> list[Table]:
     for place in range(labels):
         words = [_plain(cell) for cell in (table.columns[place].header, *table.columns[place].cells)]
         longest = max(cell_len(word) for one in words for word in one.split() or [""])
-        wide[place] = min(wide[place], max(longest, _LABEL // labels))
+        if not table.columns[place].no_wrap:
+            wide[place] = min(wide[place], max(longest, _LABEL // labels))
         table.columns[place].width = wide[place]
-    room = width - 2 - sum(wide[:labels]) - gap * labels
+    room = width - 2 - sum(wide[:labels]) - gap * (labels - (not table.pad_edge))
     groups: list[list[int]] = [[]]
     for place in range(labels, len(wide)):
         if groups[-1] and sum(wide[one] + gap for one in (*groups[-1], place)) > room:
@@ -231,9 +232,7 @@ def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
         if (now - last[0] < every_s and done < total) or (first and done == total):
             return
         last[0] = now
-        left = f"{(total - done) / speed:.0f} s left" if speed > 0 else "starting"
-        out.print(
-            f"{done}/{counted(total, 'case')}  {rate_words(speed)}/s  {left}  {quarantined} quarantined"
-        )
+        left = f"  {(total - done) / speed:.0f} s left" if speed > 0 and done < total else ""
+        out.print(progress_words(done, total, speed, quarantined) + left)
 
     return update

@@ -13,7 +13,7 @@ from wavequake.drawing.ticks import in_inches, number_powers
 
 Array = NDArray[np.float64]
 
-_NOTHING = 1e-24  # of the largest power: what rounding leaves
+_NOTHING = 1e-16  # of the largest power: what rounding and aiming leave
 _STILL = 0.01  # of the largest value: what changes by less is drawn as still as it is
 
 

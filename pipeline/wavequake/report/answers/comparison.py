@@ -358,6 +358,7 @@ def comparison_figure(names: Sequence[str], comparisons: Sequence[Sequence[Diffe
     axes.invert_yaxis()
     words = "median and each variant" if any(c.variants for part in comparisons for c in part) else None
     axes.set_xlabel(f"difference from {names[0]} (%), {words or '95 % confidence'}")
+    axes.set_title(f"{names[1] if len(names) == 2 else 'Stores'} compared with {names[0]}")
     axes.legend(loc="best")
     return figure
 

@@ -38,13 +38,13 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     rows = -(-len(panels) // columns)
     square = (WIDTH - 1.6) / columns  # inches, beside numbers and scale
     figure = Figure(figsize=(WIDTH, min(HEIGHT, square) * rows + 0.3 * rows + 0.4), layout="compressed")
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(rows, columns, squeeze=False)
     places = grid.ravel()
     top = max(float(panel.image.max()) for panel in panels)
     half = 0.5 * (axis[1] - axis[0])
     extent = (axis[0] - half, axis[-1] + half, axis[0] - half, axis[-1] + half)
     picture = None
-    for place, panel in zip(places, panels, strict=False):
+    for number, (place, panel) in enumerate(zip(places, panels, strict=False)):
         floor = 10.0**-_DECADES * top
         picture = place.imshow(
             np.maximum(panel.image, floor), norm=LogNorm(floor, top), origin="lower", extent=extent
@@ -54,15 +54,15 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
         place.set_xlim(*extent[:2])
         place.set_ylim(*extent[2:])
         place.set_title(panel.title, fontsize=8)
+        lowest, leftmost = number + columns >= len(panels), number % columns == 0
+        place.tick_params(labelbottom=lowest, labelleft=leftmost)
+        place.set(xlabel="x (λ/D)" if lowest else "", ylabel="y (λ/D)" if leftmost else "")
     for place in places[len(panels) :]:
         place.set_visible(False)
-    for place in grid[-1]:
-        place.set_xlabel("x (λ/D)")
-    for place in grid[:, 0]:
-        place.set_ylabel("y (λ/D)")
     if picture is not None:
         scale = figure.colorbar(picture, ax=list(places), shrink=1.0 if rows == 1 else 0.8)
         scale.set_label("irradiance; 1 = perfect peak", fontsize=8)
+    figure.draw_without_rendering()  # numbers of axes of this size may need more room, which is made next
     return figure
 
 

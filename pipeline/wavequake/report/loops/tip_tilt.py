@@ -172,7 +172,7 @@ def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> 
             f"cumulative-{rate:g}",
             "Cumulative residual over frequency",
             _curves(dataset, loops, "cumulative", "rms below this frequency (mas)"),
-            "Where a curve rises, the residual comes from; the thick line is the motion without a loop. "
+            "The residual comes from where a curve rises; the thick line is the motion without a loop. "
             "The sensor's noise is counted from the start.",
         ),
     ]

@@ -35,6 +35,11 @@ _SMALL_PRINT = (
     "image: L2 norm of the difference of unit-energy exposures; each for the worst of the excitations that "
     "decide."
 )
+_TABLE_WORDS = (
+    "Made in: time of the reduction. f max: highest frequency of the reduced model. ε mech, ε opt: largest "
+    "relative errors over frequency of the motion of the interfaces and of the shape of the surface. WFE, "
+    "LOS, image: errors of wavefront, line of sight and exposure over time, under the worst excitation."
+)
 _DEFINITIONS = (
     ("ε mech", "‖H - H_ref‖ / ‖H_ref‖ of the receptance at the interfaces (Störkle 2018, Eq. 2.10)."),
     ("ε opt", "The same of the response of the Zernike coefficients c_2 and on (Eq. 4.23)."),
@@ -53,7 +58,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     models, criterion = results_of(dataset)
     headers = list(_HEADERS)
-    words = f"{answer(models, criterion)} {checked(dataset)}{what_is_kept(dataset)}"
+    words = f"{answer(models, criterion)} {_TABLE_WORDS} {checked(dataset)}{what_is_kept(dataset)}"
     table = Table(
         box=SIMPLE_HEAD, caption=words, caption_justify="left", padding=(0, 1, 0, 0), pad_edge=False
     )
