@@ -4,6 +4,7 @@ import os
 import shlex
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -153,7 +154,8 @@ def fail(message: str, code: int, debug: bool, details: str = "") -> NoReturn:
 def live_progress() -> Iterator[Callable[[int, int, int], None]]:
     """Give a callback (done, total, quarantined): one live line on a terminal, plain lines elsewhere."""
     if not out.is_terminal:
-        yield _plain_progress()
+        with _plain_progress() as update:
+            yield update
         return
     columns = (
         BarColumn(),
@@ -224,15 +226,33 @@ def rate_words(rate: float) -> str:
     return f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
 
 
-def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
-    rate, last = _Rate(), [0.0]
+@contextmanager
+def _plain_progress(
+    every_s: float = 5.0, silent_s: float = 20.0
+) -> Iterator[Callable[[int, int, int], None]]:
+    """Give a callback that prints a line at most so often; a line comes, too, when nothing has for long."""
+    rate, begun, over = _Rate(), time.monotonic(), threading.Event()
+    said, last = "preparing", 0.0
 
     def update(done: int, total: int, quarantined: int) -> None:
-        first, speed, now = not last[0], rate(done), time.monotonic()
-        if (now - last[0] < every_s and done < total) or (first and done == total):
+        nonlocal said, last
+        first, speed, now = not last, rate(done), time.monotonic()
+        if (now - last < every_s and done < total) or (first and done == total):
             return
-        last[0] = now
+        last, said = now, progress_words(done, total, speed, quarantined)
         left = f"  {(total - done) / speed:.0f} s left" if speed > 0 and done < total else ""
-        out.print(progress_words(done, total, speed, quarantined) + left)
+        out.print(said + left)
 
-    return update
+    def remind() -> None:
+        while not over.wait(silent_s):
+            now = time.monotonic()
+            if now - max(last, begun) >= silent_s:
+                out.print(f"{said}  after {now - begun:.0f} s")
+
+    reminding = threading.Thread(target=remind, daemon=True)
+    reminding.start()
+    try:
+        yield update
+    finally:
+        over.set()
+        reminding.join()
