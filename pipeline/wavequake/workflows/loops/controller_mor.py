@@ -241,18 +241,18 @@ def _robustness(bench: Bench, loop: Loop, omega: Array) -> Numbers:
 
 def _residual(bench: Bench, loop: Loop, effort: float, stable: bool) -> Numbers:
     open_loop = _NM * bench.open_wavefront
-    none = np.full((bench.study.image.pixels,) * 2, np.nan)
     if not stable:
         lost = dict.fromkeys(("wavefront", "figure", "strehl", "force"), np.nan)
-        return {"wavefront_open": open_loop, **lost, "exposure": none}
+        none = np.full((bench.study.image.pixels,) * 2, np.nan)
+        return {"wavefront_open": open_loop, "exposure": none, **lost}
     moved, forces = closed_covariance(loop, effort)
     image = exposed(bench, moved)
     return {
         "wavefront_open": open_loop,
-        "strehl": image.max(),
-        "exposure": image,
         "wavefront": _rms(bench.gram, moved),
         "figure": _rms(bench.figure_gram, moved),
+        "strehl": image.max(),
+        "exposure": image,
         "force": bench.study.controller.force_n * float(np.sqrt(np.trace(forces))),
     }
 
@@ -275,11 +275,7 @@ def measures(bench: Bench) -> Iterable[Measure]:
             "|dw/w| of each mode of the full model in the variant; NaN: not in it",
             ("mode",),
         ),
-        stored(
-            "shift_over_zeta",
-            "1",
-            "largest |dw/w| of the modes in the band, as a share of their damping ratio",
-        ),
+        stored("shift_over_zeta", "1", "largest |dw/w| of the modes in the band over their damping ratio"),
         stored("missing_modes", "1", "modes of the full model in the band that the variant has not"),
         stored("stable", "1", "1 where the loop with the full model is stable"),
         stored("unstable_poles", "1", "poles of that loop that do not decay"),
@@ -346,10 +342,9 @@ def fixed(bench: Bench) -> dict[str, Any]:
     count = bench.shapes.shape[1]
     open_psd = _NM**2 * bench.time_unit * open_spectrum(bench.forces)
     words = {"units": "nm^2/Hz", "long_name": "wavefront by the forces without a controller, one-sided"}
-    image = exposed(bench, open_covariance(bench.plant))
-    about = {"units": "1", "long_name": "long exposure of a star without a controller"}
+    image = {"units": "1", "long_name": "long exposure of a star without a controller"}
     return {
-        "open_exposure": (("y", "x"), image, about),
+        "open_exposure": (("y", "x"), exposed(bench, open_covariance(bench.plant)), image),
         "open_psd": (("frequency",), open_psd, words),
         "mode_hz": (("mode",), bench_frequencies(bench)[:count], {"units": "Hz", "long_name": "frequency"}),
         "mode_zeta": (("mode",), _zeta(bench)[:count], {"units": "1", "long_name": "damping ratio"}),
