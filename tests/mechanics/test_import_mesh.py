@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.areas import FACETS, area_shares
+from wavequake.mechanics.importers.bulk import Card, axes_at, basic
 from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, read_mesh
 from wavequake.mechanics.nodal.solids import integrated
 
@@ -204,10 +205,38 @@ def test_nodes_stand_in_the_axes_that_their_cards_name(tmp_path):
     assert_array_equal(mesh.turned, [2])
 
 
+def test_cards_that_repeat_others_are_counted_on(tmp_path):
+    (tmp_path / "row.bdf").write_text(
+        "BEGIN BULK\nGRID,1,,0.,2.,1.5\n=,*1,=,*(1.5),==\n=(2)\nGRID,9,,1.,1.,1.\n"
+        "GRID          10            -.25\n=         *(10)       =   *-.5      7.\nENDDATA\n"
+    )
+    mesh = read_mesh(tmp_path / "row.bdf")
+    assert_array_equal(mesh.labels, [1, 2, 3, 4, 9, 10, 20])
+    assert_allclose(mesh.points[:4], [[x, 2.0, 1.5] for x in (0.0, 1.5, 3.0, 4.5)])
+    assert_allclose(mesh.points[4:], [[1, 1, 1], [-0.25, 0, 0], [-0.75, 7, 0]])
+
+
+@pytest.mark.parametrize("kind", ["CORD2R", "CORD2C", "CORD2S"])
+def test_axes_of_a_node_are_the_ways_in_which_its_coordinates_move_it(kind):
+    numbers = ["0.5", "-1.", "2.", "0.7", "0.", "3.", "2.", "0.5", "1.5"]
+    axes = {"4": Card(kind, ["4", "", *numbers], 1)}
+    place = np.array([[1.3, 40.0, 55.0]])
+    step = 1e-5
+    moved = np.concatenate([place + step * unit for unit in (*np.eye(3), *-np.eye(3))])
+    ways = basic(moved, "4", axes, "deck")
+    ways = (ways[:3] - ways[3:]).T
+    here = basic(place, "4", axes, "deck")
+    found = axes_at(here, "4", axes, "deck")[0]
+    assert_allclose(found, ways / np.linalg.norm(ways, axis=0), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("GRID,1\n=,*1,==\n=3\n", r"line 3: cards that repeat others \(=\)"),
+        ("=,*1,==\n", "line 2: there is no card before it that = repeats"),
+        ("GRID,1\n=3\n", r"line 3: no card \(=\) before it says what is repeated"),
+        ("GRID,1\n=,*1,==\n=x\n", "line 4: '=X' is not how often a card is repeated"),
+        ("GRID,1\n=,*1,==\n=9999999\n", "line 4: '=9999999' is not how often a card is repeated"),
         ("GRID,1,5\n", "in the axes 5, which no CORD2R"),
         ("GRID,1\nCTRIA3,1,1,1,2\n", "line 3: CTRIA3 has fewer nodes than corners"),
         ("GRID,1,5\nCORD2R,5,,0.,0.,0.,0.,0.,1.\n", "line 3: CORD2R 5 needs three points"),

@@ -142,9 +142,9 @@ def test_a_superelement_brings_its_rows_points_and_modes(tmp_path):
     [
         ({"axes": ""}, "point 8 moves in the axes 10, which are no CORD2R"),
         ({"grids": (3, 8, 21)}, "no GRID card of point 40"),
-        ({"axes": AXES.replace("0 0.1", "7 0.1", 1)}, "the axes 10 stand in other axes"),
+        ({"axes": AXES.replace("0 0.1", "7 0.1", 1)}, "nodes stand in the axes 7, which no CORD2R"),
         ({"axes": AXES.replace("0.100000000E+01", "0.1000x0000E+01")}, "is not a number"),
-        ({"axes": AXES.partition("\n")[0]}, "the axes 10 lack a point"),
+        ({"axes": AXES.partition("\n")[0]}, "CORD2R 10 needs three points"),
         ({"axes": AXES + "EXTRN          3"}, "point 3 has no components"),
         ({"axes": AXES + "GRID           x       0"}, "'X' is not the number of a point"),
     ],

@@ -1,6 +1,7 @@
 """Results at nodes in files of programs, against another reader, closed forms and the programs' matrices."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.importers.model import import_model
 from wavequake.mechanics.nodal.modes import modes_of
 from wavequake.mechanics.nodal.op2 import read_op2
-from wavequake.mechanics.nodal.results import read_results
+from wavequake.mechanics.nodal.results import in_axes_of, read_results
 from wavequake.mechanics.nodal.tables import packed, read_modes
 
 DATA = Path(__file__).parents[1] / "data" / "nodal"
@@ -170,16 +171,29 @@ def test_what_is_missing_is_said(tmp_path):
         read_results(path, "mm", None)
 
 
-def test_decks_of_points_in_axes_of_their_own_are_refused(tmp_path):
-    deck = tmp_path / "mesh.bdf"
-    for card in (
-        "GRID,11,,0.,0.,0.,7",
-        "GRID          11       7      0.      0.      0.",
-        "GRID*   11              0               0.              0.\n*       0.              7",
-    ):
-        deck.write_text(f"BEGIN BULK\n{card}\nENDDATA\n")
-        with pytest.raises(UserError, match=r"mesh.bdf, line 2: a point has axes of its own"):
-            read_results(DATA / "angle.op2", "mm", deck)
+def test_displacements_in_axes_of_their_own_are_turned(tmp_path):
+    deck, labels = tmp_path / "mesh.bdf", read_op2(DATA / "angle.op2").steps[0].labels
+    angle = dict(zip(labels.tolist(), np.linspace(10.0, 300.0, len(labels)), strict=True))
+    axes = "CORD2C,7,,0.,0.,5.,0.,0.,6.\n,1.,0.,5.\n"
+
+    def motions(own, file_axes=True):
+        grids = (f"GRID,{node},7,2.,{angle[node]},{node}.,{own}" for node in labels)
+        deck.write_text("BEGIN BULK\n" + axes + "\n".join(grids) + "\nENDDATA\n")
+        written = in_axes_of(replace(read_op2(DATA / "angle.op2"), own_axes=file_axes), deck)
+        return np.stack([step.values for step in written.steps])
+
+    plain, turned = motions(""), motions("7")
+    np.testing.assert_array_equal(plain, motions("7", file_axes=False))  # a table in the basic axes
+    points = read_results(DATA / "angle.op2", "mm", deck).points
+    for k, node in enumerate(labels.tolist()):
+        c, s = np.cos(np.deg2rad(angle[node])), np.sin(np.deg2rad(angle[node]))
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        np.testing.assert_allclose(points[k], [2e-3 * c, 2e-3 * s, 1e-3 * (node + 5)], atol=1e-12)
+        for first in range(0, plain.shape[2], 3):
+            wanted = plain[:, k, first : first + 3] @ turn.T
+            np.testing.assert_allclose(turned[:, k, first : first + 3], wanted, atol=1e-12)
+    with pytest.raises(UserError, match=r"point \d+ moves in axes \(GRID, field CD\) that no CORD2R"):
+        motions("9")
 
 
 def test_cut_off_files_are_refused(tmp_path):

@@ -5,6 +5,7 @@ Guide, Format of Bulk Data Entries).
 """
 
 from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.importers.entries import Array, Integers, read_bytes
 
 _FIELDS = 8  # of a line behind the name of its card
+_MOST_REPEATED = 1_000_000
 # meshio's names of elements, by how many nodes a card has; Nastran lists the middles of upright edges before
 # those of the top, VTK after them.
 _PRISM = [*range(9), 12, 13, 14, 9, 10, 11]
@@ -42,8 +44,9 @@ class Card(NamedTuple):
 class Deck(NamedTuple):
     """Nodes and elements of a deck.
 
-    ``turned`` are the numbers of nodes whose displacements stand in axes of their own, ``numbers`` those of
-    the elements of each kind; sets of elements are those of a property, by its number.
+    ``turned`` are the numbers of nodes whose displacements stand in axes of their own, ``turns`` (k, 3, 3)
+    these axes as columns, NaN where the deck lacks them; ``numbers`` are those of the elements of each kind;
+    sets of elements are those of a property, by its number.
     """
 
     labels: Integers
@@ -52,6 +55,7 @@ class Deck(NamedTuple):
     turned: Integers
     numbers: dict[str, Integers]
     element_sets: dict[str, Integers]
+    turns: Array
 
 
 def cards(path: Path) -> Iterator[Card]:
@@ -70,6 +74,7 @@ def _cards(path: Path, opened: tuple[Path, ...]) -> Iterator[Card]:
     lines = text.splitlines()
     begin = next((k for k, line in enumerate(lines) if line.strip().upper().startswith("BEGIN")), -1)
     held: Card | None = None
+    steps: list[str] = []  # from one repeated card to the next
     for number, raw in enumerate(lines[begin + 1 :], start=begin + 2):
         line = raw.partition("$")[0].rstrip()
         if not line.strip():
@@ -87,13 +92,18 @@ def _cards(path: Path, opened: tuple[Path, ...]) -> Iterator[Card]:
             continue
         name, fields = _split(line.upper())
         if name.startswith("="):
-            raise UserError(
-                f"{path.name}, line {number}: cards that repeat others (=) are not read; write all"
-            )
+            if held is None:
+                raise UserError(f"{path.name}, line {number}: there is no card before it that {name} repeats")
+            for _ in range(_count(name, f"{path.name}, line {number}")):
+                steps = fields if name == "=" else steps
+                yield held
+                held = Card(held.name, _repeated(held.fields, steps, f"{path.name}, line {number}"), number)
+            continue
         if name and name[0] not in "+*":
             if held is not None:
                 yield held
             held = Card(name, fields, number)
+            steps = []
         elif held is not None:
             held.fields.extend(fields)
     else:  # there is no ENDDATA, and a number that is cut off may still read as one
@@ -118,6 +128,35 @@ def _split(line: str) -> tuple[str, list[str]]:
     fields = [line[k : k + width].strip() for k in range(8, 72, width)]
     name = line[:8].strip()
     return name if name.startswith("*") else name.strip("* "), fields
+
+
+def _count(name: str, where: str) -> int:
+    """Return how many cards ``=``, or ``=7`` or ``=(7)`` after it, stand for."""
+    digits = name[1:].strip("()")
+    if digits and not (digits.isdecimal() and 0 < int(digits) <= _MOST_REPEATED):
+        raise UserError(f"{where}: {name!r} is not how often a card is repeated (1 to {_MOST_REPEATED})")
+    return int(digits) if digits else 1
+
+
+def _repeated(fields: list[str], steps: list[str], where: str) -> list[str]:
+    """Return the fields of a card after those of the one before it.
+
+    ``=`` keeps a field, ``==`` it and all that follow, ``*2`` or ``*(2)`` adds to it; others are new.
+    """
+    if not steps:
+        raise UserError(f"{where}: no card (=) before it says what is repeated")
+    found: list[str] = []
+    for old, step in zip_longest(fields, steps, fillvalue=""):
+        if step == "==":
+            return found + fields[len(found) :]
+        more = step[1:].strip("()") if step.startswith("*") else ""
+        if more and old.lstrip("-").isdecimal() and more.lstrip("-").isdecimal():
+            found.append(str(int(old) + int(more)))
+        elif more:
+            found.append(repr(real(old, where) + real(more, where)))
+        else:
+            found.append(old if step == "=" else step)
+    return found
 
 
 def real(word: str, where: str) -> float:
@@ -154,7 +193,7 @@ def read_bulk(path: Path) -> Deck:
     UserError
         If it has no nodes, a card cannot be read, or a node stands in axes that are not known.
     """
-    labels, places, frames, turned = [], [], [], []
+    labels, places, frames, turned = [], [], [], {}
     axes: dict[str, Card] = {}
     cells: dict[str, list[list[int]]] = {}
     own: dict[str, list[int]] = {}
@@ -176,14 +215,19 @@ def read_bulk(path: Path) -> Deck:
         labels.append(_whole(card.fields[0], where))
         places.append([real(word, where) if word else 0.0 for word in card.fields[2:5]])
         frames.append(card.fields[1] or standard.fields[1] or "0")
-        if (card.fields[5] or standard.fields[5] or "0") not in ("0", "-1"):
-            turned.append(labels[-1])
+        if (own_axes := card.fields[5] or standard.fields[5] or "0") not in ("0", "-1"):
+            turned[len(labels) - 1] = own_axes
     if not grids:
         raise UserError(f"{path.name} has no nodes: no GRID card was found")
     points = np.array(places)
     for frame in sorted(set(frames) - {"0"}):
         mine = np.array([one == frame for one in frames])
-        points[mine] = _basic(points[mine], frame, axes, path.name)
+        points[mine] = basic(points[mine], frame, axes, path.name)
+    rows = np.array(list(turned), dtype=np.int64)
+    turns = np.full((len(rows), 3, 3), np.nan)
+    for frame in sorted(set(turned.values()) & set(axes)):
+        mine = np.array([one == frame for one in turned.values()])
+        turns[mine] = axes_at(points[rows[mine]], frame, axes, path.name)
     for card in elements:
         where = f"{path.name}, line {card.line}"
         kind, order = _shape(card, where)
@@ -196,11 +240,12 @@ def read_bulk(path: Path) -> Deck:
         np.array(labels, dtype=np.int64),
         points,
         {kind: np.array(nodes, dtype=np.int64) for kind, nodes in cells.items()},
-        np.array(turned, dtype=np.int64),
+        np.array(labels, dtype=np.int64)[rows],
         *(
             {name: np.array(one, dtype=np.int64) for name, one in given.items()}
             for given in (own, properties)
         ),
+        turns,
     )
 
 
@@ -214,10 +259,46 @@ def _shape(card: Card, where: str) -> tuple[str, list[int]]:
     raise UserError(f"{where}: {card.name} has fewer nodes than corners; the file may be cut off")
 
 
-def _basic(points: Array, frame: str, axes: dict[str, Card], source: str, depth: int = 0) -> Array:
-    """Return coordinates (p, 3) of a frame in basic axes."""
+def basic(points: Array, frame: str, axes: dict[str, Card], source: str, depth: int = 0) -> Array:
+    """Return coordinates (p, 3) of a frame in basic axes.
+
+    Raises
+    ------
+    UserError
+        If the frame, or one in which it stands, is none of `axes`, or its three points lie on a line.
+    """
     if frame in ("", "0"):
         return points
+    card, origin, turn = _frame(frame, axes, source, depth)
+    return np.asarray(origin + _rectangular(points, card.name) @ turn.T)
+
+
+def axes_at(points: Array, frame: str, axes: dict[str, Card], source: str) -> Array:
+    """Return the unit vectors (p, 3, 3), as columns, of a frame at points in basic axes; raises as `basic`.
+
+    Those of cylindrical and spherical frames turn from point to point. On their axis x stands for r.
+    """
+    card, origin, turn = _frame(frame, axes, source, 0)
+    found = np.broadcast_to(turn, (len(points), 3, 3)).copy()
+    if card.name == "CORD2R":
+        return found
+    x, y, z = ((points - origin) @ turn).T
+    angle, up = np.arctan2(y, x), np.arctan2(np.hypot(x, y), z)
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    around = np.stack([-np.sin(angle), np.cos(angle), zero], axis=-1)
+    if card.name == "CORD2C":
+        columns = [np.stack([np.cos(angle), np.sin(angle), zero], axis=-1), around]
+        columns.append(np.stack([zero, zero, one], axis=-1))
+    else:  # r, theta from z, phi around it
+        out = np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
+        along = np.stack([zero, zero, one], axis=-1)
+        sine, cosine = np.sin(up)[:, None], np.cos(up)[:, None]
+        columns = [sine * out + cosine * along, cosine * out - sine * along, around]
+    return found @ np.stack(columns, axis=-1)
+
+
+def _frame(frame: str, axes: dict[str, Card], source: str, depth: int) -> tuple[Card, Array, Array]:
+    """Return the card of a frame, its origin and its unit vectors as columns, in basic axes."""
     card = axes.get(frame)
     if card is None or depth > len(axes):
         raise UserError(f"{source}: nodes stand in the axes {frame}, which no CORD2R, CORD2C or CORD2S gives")
@@ -226,9 +307,8 @@ def _basic(points: Array, frame: str, axes: dict[str, Card], source: str, depth:
     if len(corners) < 9 or not (np.isfinite(corners).all() and _spans(corners.reshape(3, 3))):
         raise UserError(f"{where}: {card.name} {frame} needs three points that are not on a line")
     corners = corners.reshape(3, 3)
-    origin, above, beside = _basic(corners, card.fields[1], axes, source, depth + 1)
-    turn = unit_vectors(origin, above, beside)
-    return np.asarray(origin + _rectangular(points, card.name) @ turn.T)
+    origin, above, beside = basic(corners, card.fields[1], axes, source, depth + 1)
+    return card, origin, unit_vectors(origin, above, beside)
 
 
 def _spans(corners: Array) -> bool:

@@ -73,7 +73,7 @@ def read_mesh(path: Path) -> MeshFile:
     suffix = path.suffix.lower()
     if suffix in BULK:
         deck = read_bulk(path)
-        mesh = MeshFile(path.name, deck.labels, deck.points, {}, *deck[2:])
+        mesh = MeshFile(path.name, deck.labels, deck.points, {}, *deck[2:-1])
     else:
         mesh = _from_deck(path) if suffix == ".inp" else _through_meshio(path)
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))

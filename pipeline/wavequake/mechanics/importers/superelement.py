@@ -12,7 +12,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers import bulk
-from wavequake.mechanics.importers.bulk import real, unit_vectors
+from wavequake.mechanics.importers.bulk import Card, axes_at, basic, real
 from wavequake.mechanics.importers.entries import Array, Contents, Entries, Integers, whole_lines
 
 
@@ -34,27 +34,33 @@ def with_rows(contents: Contents, path: Path) -> Contents:
     table = _rows([card for card in cards if card[0] == "EXTRN"], punch.name)
     if not len(table):
         return contents
-    axes = {card[1]: _axes(card, punch.name) for card in cards if card[0] == "CORD2R"}
+    axes = {
+        card[1]: Card(card[0], [*card[1:], *[""] * 11], 0)
+        for card in cards
+        if card[0] in ("CORD2R", "CORD2C", "CORD2S")
+    }
     grids = [card for card in cards if card[0] == "GRID"]
     if bad := [card[1] for card in grids if not card[1].isdecimal()]:
         raise UserError(f"{punch.name}: {bad[0]!r} is not the number of a point (card GRID)")
     numbers = np.array([int(card[1]) for card in grids], dtype=np.int64)
-    if any(card[2] not in ("", "0") for card in grids):
-        raise UserError(f"{punch.name}: points in axes of their own (GRID, field CP) are not read")
-    points = np.array([[real(word, punch.name) for word in card[3:6]] for card in grids]).reshape(-1, 3)
+    places = np.array([[real(word, punch.name) for word in card[3:6]] for card in grids]).reshape(-1, 3)
+    points = np.array(
+        [basic(place[None], card[2], axes, punch.name)[0] for card, place in zip(grids, places, strict=True)]
+    ).reshape(-1, 3)
     if missing := sorted(set(table[table[:, 1] > 0, 0]) - set(numbers.tolist())):
         raise UserError(f"{punch.name} has no GRID card of point {missing[0]}, which its card EXTRN lists")
     turn = np.eye(len(table))
-    for card in grids:
+    for card, point in zip(grids, points, strict=True):
         frame = card[6] if len(card) > 6 and card[6] else "0"
         if frame == "0":
             continue
         if frame not in axes:
             raise UserError(f"{punch.name}: point {card[1]} moves in the axes {frame}, which are no CORD2R")
+        own = axes_at(point[None], frame, axes, punch.name)[0]
         for first in (1, 4):
             rows = _triple(table, int(card[1]), first, punch.name)
             if len(rows):
-                turn[np.ix_(rows, rows)] = axes[frame]
+                turn[np.ix_(rows, rows)] = own
     matrices = {
         name: _turned(entries, turn) if entries.size == len(table) else entries
         for name, entries in contents.matrices.items()
@@ -96,13 +102,3 @@ def _rows(cards: list[list[str]], source: str) -> Integers:
                 raise UserError(f"{source}: {node!r} with {components!r} is no row (card EXTRN)")
             rows += [(int(node), int(component)) for component in components]
     return np.array(rows, dtype=np.int64).reshape(-1, 2)
-
-
-def _axes(card: list[str], source: str) -> Array:
-    """Return the unit vectors of a CORD2R card as columns."""
-    if card[2] not in ("", "0"):
-        raise UserError(f"{source}: the axes {card[1]} stand in other axes (CORD2R, field RID): not read")
-    if len(card) < 12:
-        raise UserError(f"{source}: the axes {card[1]} lack a point (CORD2R); the file may be cut off")
-    origin, above, beside = np.array([real(word, source) for word in card[3:12]]).reshape(3, 3)
-    return unit_vectors(origin, above, beside)

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.mechanics.importers.bulk import Card, axes_at, basic
 from wavequake.mechanics.importers.entries import Array, Integers, read_bytes
-from wavequake.mechanics.nodal.step import Kind, Step, Written
+from wavequake.mechanics.nodal.step import Kind, Step, Written, in_common_axes
 
 Words = NDArray[np.int64]
 
@@ -23,6 +24,7 @@ _BASIC, _OWN = ("BOUGV1", "BOPHIG"), ("OUGV1", "OUGV2", "OUG1", "OUGV1PAT", "OPH
 _KINDS: dict[int, Kind] = {1: "case", 2: "mode", 6: "time", 10: "case"}
 _DISPLACEMENT, _EIGENVECTOR = 1, 7
 _GRID = (4501, 45)
+_FRAMES = {(2101, 21): "CORD2R", (2001, 20): "CORD2C", (2201, 22): "CORD2S"}
 _ROW = 8  # words of a node: number, type, six displacements and rotations
 _POINT = 1  # the type of a node; others are scalar points
 
@@ -49,8 +51,7 @@ def read_op2(path: Path) -> Written:
     Raises
     ------
     UserError
-        If it is no such file or cut off, holds none of these, or points have axes of their
-        own.
+        If it is no such file or cut off, holds none of these, or points have axes that it does not hold.
     """
     data = read_bytes(path)
     form = _format(data, path.name)
@@ -69,7 +70,12 @@ def read_op2(path: Path) -> Written:
             f"{path.name} holds no real displacements, modes or temperatures of points (tables OUG); it has "
             f"{', '.join(sorted(tables))[:200] or 'no tables'}"
         )
-    labels, points = _grid(tables, form, path.name, own_axes=found is _OWN)
+    grid = _grid(tables, form, path.name)
+    if grid is None:
+        return Written(path.name, tuple(steps), own_axes=found is _OWN)
+    labels, points, turned, turns = grid
+    if found is _OWN:
+        steps = [in_common_axes(step, turned, turns) for step in steps]
     return Written(path.name, tuple(steps), labels, points)
 
 
@@ -164,33 +170,66 @@ def _steps(records: list[bytes], form: _Format, source: str) -> Iterator[Step]:
 
 
 def _grid(
-    tables: dict[str, list[bytes]], form: _Format, source: str, own_axes: bool
-) -> tuple[Integers | None, Array | None]:
-    """Return numbers and coordinates of the GRID cards in the tables GEOM1."""
-    labels, points = [], []
-    for name in ("GEOM1", "GEOM1S", "GEOM1N", "GEOM1OLD"):
-        for record in tables.get(name, []):
-            words = form.integers(record)
-            if len(words) < 3 or tuple(words[:2]) != _GRID:
-                continue
-            card, long = 8, (len(words) - 3) % 8 != 0
-            if long and form.word == 4 and (len(words) - 3) % 11 == 0:
-                card = 11  # coordinates of eight bytes
-            elif long:
-                raise UserError(f"{source}: its GRID cards have {len(words) - 3} words; the file is damaged")
-            whole, wide = words[3:].reshape(-1, card), 2 if card == 11 else 1
-            real = np.dtype(f"{form.order}f{form.word * wide}")
-            body = np.frombuffer(record, np.uint8)[3 * form.word :].reshape(len(whole), card * form.word)
-            xyz = np.ascontiguousarray(body[:, 2 * form.word : (2 + 3 * wide) * form.word]).view(real)
-            frames = whole[:, [1, 2 + 3 * wide]] if own_axes else whole[:, [1]]
-            other = np.flatnonzero((frames > 0).any(axis=1))
-            if len(other):
-                raise UserError(
-                    f"{source}: point {whole[other[0], 0]} has coordinates or displacements in axes of its "
-                    "own (GRID, fields CP and CD), which are not read; write them in the basic ones"
-                )
-            labels.append(whole[:, 0])
-            points.append(xyz.astype(np.float64))
-    if not labels:
-        return None, None
-    return np.concatenate(labels), np.concatenate(points)
+    tables: dict[str, list[bytes]], form: _Format, source: str
+) -> tuple[Integers, Array, Integers, Array] | None:
+    """Return the nodes of the tables GEOM1: numbers and places, and which move in axes of their own (CD)."""
+    records = [
+        record for name in ("GEOM1", "GEOM1S", "GEOM1N", "GEOM1OLD") for record in tables.get(name, [])
+    ]
+    axes = _axes(records, form, source)
+    parts = [_points(record, form, source) for record in records if _key(record, form) == _GRID]
+    if not parts:
+        return None
+    labels, points, given, moving = (np.concatenate(one) for one in zip(*parts, strict=True))
+    for frame in np.unique(given[given > 0]):
+        points[given == frame] = basic(points[given == frame], str(frame), axes, source)
+    turned = np.flatnonzero(moving > 0)
+    turns = np.zeros((len(turned), 3, 3))
+    for frame in np.unique(moving[turned]):
+        mine = moving[turned] == frame
+        turns[mine] = axes_at(points[turned[mine]], str(frame), axes, source)
+    return labels, points, labels[turned], turns
+
+
+def _key(record: bytes, form: _Format) -> tuple[int, ...]:
+    words = form.integers(record[: 2 * form.word])
+    return tuple(words.tolist())
+
+
+def _points(record: bytes, form: _Format, source: str) -> tuple[Integers, Array, Integers, Integers]:
+    """Return numbers, coordinates, and the axes of coordinates and displacements of GRID cards."""
+    words = form.integers(record)
+    card, long = 8, (len(words) - 3) % 8 != 0
+    if long and form.word == 4 and (len(words) - 3) % 11 == 0:
+        card = 11  # coordinates of eight bytes
+    elif long:
+        raise UserError(f"{source}: its GRID cards have {len(words) - 3} words; the file is damaged")
+    whole, wide = words[3:].reshape(-1, card), 2 if card == 11 else 1
+    xyz = _reals(record, form, card, 2, wide)
+    return whole[:, 0], xyz, whole[:, 1], whole[:, 2 + 3 * wide]
+
+
+def _reals(record: bytes, form: _Format, card: int, first: int, wide: int) -> Array:
+    """Return the real numbers of cards from a word on: three of GRID, nine of axes."""
+    count = (3 if first == 2 else 9) * wide
+    body = np.frombuffer(record, np.uint8)[3 * form.word :].reshape(-1, card * form.word)
+    part = np.ascontiguousarray(body[:, first * form.word : (first + count) * form.word])
+    return part.view(np.dtype(f"{form.order}f{form.word * wide}")).astype(np.float64)
+
+
+def _axes(records: list[bytes], form: _Format, source: str) -> dict[str, Card]:
+    """Return the cards CORD2R, CORD2C and CORD2S: number, two kinds, the axes in which they stand, points."""
+    found: dict[str, Card] = {}
+    for record in records:
+        name = _FRAMES.get(_key(record, form)) if len(record) >= 3 * form.word else None
+        if name is None:
+            continue
+        words = form.integers(record)[3:]
+        card = 13 if len(words) % 13 == 0 else 22  # places of eight bytes
+        if len(words) % card or (card == 22 and form.word != 4):
+            raise UserError(f"{source}: its {name} cards have {len(words)} words; the file is damaged")
+        places = _reals(record, form, card, 4, 1 if card == 13 else 2)
+        for whole, numbers in zip(words.reshape(-1, card), places, strict=True):
+            fields = [str(whole[0]), str(whole[3]), *(repr(float(one)) for one in numbers)]
+            found[fields[0]] = Card(name, fields, 0)
+    return found

@@ -1,18 +1,18 @@
 """Nodal results of any file: which steps it has, where its nodes are, in SI units."""
 
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.entries import Array, Integers, read_bytes
+from wavequake.mechanics.importers.bulk import read_bulk
+from wavequake.mechanics.importers.entries import Array, Integers
 from wavequake.mechanics.importers.mesh import read_mesh
 from wavequake.mechanics.importers.units import LENGTH
 from wavequake.mechanics.nodal import frd, op2, rst, tables
-from wavequake.mechanics.nodal.step import Kind, Step, Written
+from wavequake.mechanics.nodal.step import Kind, Step, Written, in_common_axes
 
 READERS: dict[str, Callable[[Path], Written]] = {
     ".csv": tables.read_csv,
@@ -90,7 +90,7 @@ def read_results(
         If the file cannot be read, has no such steps, its unit or nodes are not known, steps have different
         nodes, or instants do not increase.
     """
-    written = read_written(path)
+    written = in_axes_of(read_written(path), mesh)
     moving = [step for step in written.steps if not step.is_thermal]
     if not moving:
         raise UserError(
@@ -158,8 +158,6 @@ def _points(written: Written, labels: Integers, mesh: Path | None) -> Array:
                 f"{written.source} does not say where its nodes are; name the deck that does with the key "
                 "mesh"
             )
-        if mesh.suffix.lower() in _CARDS:
-            _refuse_own_axes(mesh)
         found = read_mesh(mesh)
         known, points, source = found.labels, found.points, found.source
     order = np.argsort(known)
@@ -170,22 +168,22 @@ def _points(written: Written, labels: Integers, mesh: Path | None) -> Array:
     return np.asarray(points[order][place])
 
 
-def _refuse_own_axes(deck: Path) -> None:
-    """Raise UserError if a GRID card of a Nastran deck names axes (CP, CD) that are not the basic ones."""
-    lines = read_bytes(deck).decode("latin-1").upper().splitlines()
-    for number, line in enumerate(lines):
-        if not re.match(r"GRID[\s,*]", line):
-            continue
-        if "," in line:
-            fields = [part.strip() for part in line.split(",")] + [""] * 9
-            frames = (fields[2], fields[6])
-        elif line.startswith("GRID*"):
-            following = lines[number + 1] if number + 1 < len(lines) else ""
-            frames = (line[24:40].strip(), following[24:40].strip())
-        else:
-            frames = (line[16:24].strip(), line[48:56].strip())
-        if any(frame not in ("", "0") for frame in frames):
-            raise UserError(
-                f"{deck.name}, line {number + 1}: a point has axes of its own (GRID, fields CP and CD), "
-                "which are not read; write coordinates and displacements in the basic ones"
-            )
+def in_axes_of(written: Written, mesh: Path | None) -> Written:
+    """Return results in the axes of the coordinates, where a Nastran deck has them in those of each node.
+
+    Raises
+    ------
+    UserError
+        If the deck lacks the axes of a node.
+    """
+    if not written.own_axes or mesh is None or mesh.suffix.lower() not in _CARDS:
+        return written
+    deck = read_bulk(mesh)
+    lost = deck.turned[np.isnan(deck.turns).any(axis=(1, 2))]
+    if len(lost):
+        raise UserError(
+            f"{mesh.name}: point {lost[0]} moves in axes (GRID, field CD) that no CORD2R, CORD2C or CORD2S "
+            "gives; write displacements in the basic ones"
+        )
+    steps = tuple(in_common_axes(step, deck.turned, deck.turns) for step in written.steps)
+    return replace(written, steps=steps, own_axes=False)
