@@ -43,7 +43,7 @@ actuator = "{actuator}"
         ({"actuator": "figure"}, "tells 2 of 14 motions of the actuator 'figure' apart"),
         (
             {"actuator": "figure"},
-            "so that 'Z3', 'Z4', 'Z5', 'Z6' and 8 more are, at 0 Hz (its own dynamics: 1000 Hz), not",
+            "so that 'Z4', 'Z5', 'Z6', 'Z7' and 8 more are, at 0 Hz (its own dynamics: 1000 Hz), not",
         ),
         ({"actuator": "figure", "keys": "modes = 3"}, "tells 2 motions of 'figure' apart, not modes = 3"),
         ({"keys": "gain = 1.7"}, "controller.more is unstable: "),

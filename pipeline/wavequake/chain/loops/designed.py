@@ -21,8 +21,8 @@ from wavequake.control.sampled.run import Actuator as Moved
 from wavequake.control.sampled.run import Eye, Loop, Schedule, frame_count, schedule
 from wavequake.errors import UserError
 
-# Of all that a motion shows, what a sensor sees of it by the rounding of traces alone.
-_ROUNDING = 1e-7
+# Of all that a motion shows, what a sensor sees of it by errors of derivatives alone.
+_ROUNDING = 1e-5
 
 
 class Sighted(Protocol):
@@ -111,17 +111,18 @@ def asked_of(study: LoopBlocks, optics: Sighted, one: Controller) -> Design:
     shown = shown_of(answers, len(optics.light))
     shaken = np.zeros((len(optics.light), 0)) if modes is None else modes.seen
     watched = []
-    sight = optics.sights[actuator.name]
+    sight, optical = optics.sights[actuator.name], optics.light.optical
     for sensor in study.sensors(one):
         readings, noise = sensor.readings(optics.light, nominal=True), sensor.noise_rms(optics.light)
+        rows = slice(optical) if sensor.sees == "light" else slice(optical, None)
         watched.append(
             Watch(
                 sensor.name,
                 sensor.labels(optics.light),
-                _beyond_rounding(readings, sight),
+                _beyond_rounding(readings, sight, rows),
                 noise / np.sqrt(timing.frames),
                 sensor.dynamics(),
-                _beyond_rounding(readings, shaken),
+                _beyond_rounding(readings, shaken, rows),
                 readings @ shown,
             )
         )
@@ -138,13 +139,14 @@ def asked_of(study: LoopBlocks, optics: Sighted, one: Controller) -> Design:
     )
 
 
-def _beyond_rounding(readings: Array, shown: Array) -> Array:
+def _beyond_rounding(readings: Array, shown: Array, rows: slice) -> Array:
     """Return readings (m, K) of what motions show (K, p), of those that show no more than rounding none.
 
-    M2 along its axis moves the wavefront; its line of sight then is what traces of that are off.
+    M2 along its axis moves the wavefront; its line of sight then is what derivatives of that are off. `rows`
+    are what such a sensor can see: light, or bodies.
     """
     found, most = readings @ shown, np.abs(readings).max(initial=0.0)
-    sizes, largest = (np.abs(one).max(axis=0, initial=0.0) for one in (found, shown))
+    sizes, largest = (np.abs(one).max(axis=0, initial=0.0) for one in (found, shown[rows]))
     return np.where(sizes > _ROUNDING * most * largest, found, 0.0)
 
 

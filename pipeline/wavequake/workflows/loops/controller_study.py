@@ -127,7 +127,7 @@ class ExposedSection(Section):
 
     def angles(self) -> NDArray[np.float64]:
         """Return where pixels are along one side, in wavelengths over diameters."""
-        return self.sampling * (np.arange(self.pixels) - self.pixels // 2)
+        return np.asarray(self.sampling * (np.arange(self.pixels) - self.pixels // 2), dtype=np.float64)
 
 
 class ControllerCampaignSection(CampaignSection):
