@@ -138,6 +138,22 @@ def test_fringe_phases_in_waves_make_the_spots_that_opticstudio_prints():
     assert spot(reversed_) > 0.08
 
 
+def test_light_is_aimed_at_a_stop_that_stands_far_off_the_axis():
+    # An Offner relay (OpticStudio's sample): the axis ray meets its convex mirror at 35 degrees.
+    rows = [
+        "  DISZ 10",
+        "  TYPE COORDBRK\n  PARM 2 -3\n  DISZ 0",
+        "  CURV -0.1\n  GLAS MIRROR\n  DISZ -4.7631336931",
+        "  STOP\n  CURV -0.190954258\n  GLAS MIRROR\n  DISZ 4.7631336931\n  DIAM 1",
+        "  CURV -0.1\n  GLAS MIRROR\n  DISZ -10",
+        "",
+    ]
+    text = "FLOA\nWAVM 1 0.55 1\nFTYP 0 0 2 1 0 0 0\nYFLN 0 1E-2\n"
+    system = parse_zmx(text + "\n".join(f"SURF {k}\n{row}" for k, row in enumerate(rows)) + "\n", "lens.zmx")
+    for field in system.fields:
+        assert not aimed_rays(system, field, 550e-6, np.zeros(3), np.array([0.0, 0.9, -0.9])).lost.any()
+
+
 def test_a_toroidal_grating_is_a_toroid_with_grooves():
     row = (
         "  TYPE TOROGRAT\n  CURV -0.0025\n  PARM 1 -390\n  PARM 2 0.4\n  PARM 3 1\n  GLAS MIRROR\n  DISZ -100"

@@ -67,6 +67,41 @@ def test_a_plan_answers_in_time(monkeypatch, slow, known, why):
     assert answer["cases"].startswith("60")
 
 
+CASSEGRAIN = """
+[study]
+name = "cassegrain"
+workflow = "segment-disturbance"
+
+[telescope]
+name = "custom"
+primary_radius_mm = -20000.0
+polygons_csv = "id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m,x4_m,y4_m\\none,-1.0,-0.5,-0.1,-0.5,-0.1,0.5,-1.0,0.5\\n"
+surfaces = [
+    { name = "M2", distance_mm = 8000.0, radius_mm = -5000.0, conic = -2.25 },
+    { name = "image", distance_mm = 10000.0 },
+]
+
+[imaging]
+enabled = false
+
+[[disturbance]]
+name = "shake"
+model = "surface-vibration"
+of = ["M2"]
+lines = [{ frequency_hz = 30.0, amplitude = { dx_um = 5.0 } }]
+"""
+
+
+def test_what_is_wrong_is_said_before_the_device_is_tested(monkeypatch, tmp_path):
+    path = tmp_path / "cassegrain.toml"
+    path.write_text(CASSEGRAIN)
+    monkeypatch.setattr(campaign, "choose_device", doze)
+    assert "note" not in plan(path, seconds=2.0)
+    wrong = load_study(path, {"telescope.primary_radius_mm": -20200.0})  # by 1 %
+    said = plan(wrong, seconds=2.0)["note"]
+    assert "image stands 3125 mm before the paraxial focus, which is 13125 mm behind M2" in said
+
+
 def test_a_plan_that_is_not_done_tells_what_the_study_took_before(monkeypatch, tmp_path):
     kept, few = tmp_path / "kept", {"study.seed": 9, "wavefront.zernike_terms": 6}
     run(load_study("tmt18-history", few), cases=3, store=kept, on="serial")

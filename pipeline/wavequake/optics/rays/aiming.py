@@ -180,7 +180,7 @@ def _followed_chief(
         goal = min(at + step, 1.0)
         bundle, start = _bundle(system, data, goal * field, wavelength)
         one = replace(aim, bundle=bundle)
-        guess = start[:, None]
+        guess = here if begin is zero else start[:, None]
         if before is not None:  # goes on straight
             guess = here + (here - before[1]) * (goal - at) / (at - before[0])
         found = newton(one, guess, zero)
