@@ -39,7 +39,7 @@ test: $(VENV)/.dev
 	$(BIN)/python $(PYTEST)
 
 # Quick files of every folder of tests/; a test sees to it that none is left out. Bits of all studies in other
-# places and damaged files for every reader take minutes: `make test` has them.
+# places, studies under other keys and damaged files for every reader take minutes: `make test` has them.
 FAST := test_architecture.py test_recorded_numbers.py \
   chain/test_segment_objects.py contract/test_sources.py drawing/test_ticks.py \
   cluster/test_places.py control/test_linear.py control/test_regulator.py control/test_sensor.py \
@@ -50,7 +50,7 @@ FAST := test_architecture.py test_recorded_numbers.py \
   fuzz/test_fuzz.py viewer/test_film.py
 
 test-fast: $(VENV)/.dev
-	$(BIN)/python $(PYTEST) -q -k "not bits_do_not_depend and not damaged_file" $(addprefix tests/,$(FAST))
+	$(BIN)/python $(PYTEST) -q -k "not bits_do_not_depend and not variants_of_studies and not damaged_file" $(addprefix tests/,$(FAST))
 
 soak: $(VENV)/.dev
 	SOAK_KILLS=$${SOAK_KILLS:-200} SOAK_SEEDS=$${SOAK_SEEDS:-100000} \
