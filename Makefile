@@ -39,18 +39,18 @@ test: $(VENV)/.dev
 	$(BIN)/python $(PYTEST)
 
 # Quick files of every folder of tests/; a test sees to it that none is left out. Bits of all studies in other
-# places and damaged files for every reader take minutes: `make test` has them.
+# places, studies under other keys and damaged files for every reader take minutes: `make test` has them.
 FAST := test_architecture.py test_recorded_numbers.py \
-  chain/test_segment_objects.py contract/test_sources.py drawing/test_paths.py \
+  chain/test_segment_objects.py contract/test_sources.py drawing/test_ticks.py \
   cluster/test_places.py control/test_linear.py control/test_regulator.py control/test_sensor.py \
-  firmware/test_gains_header.py imaging/test_mtf.py imaging/test_matrix_fourier.py imaging/test_detector.py \
-  kernels/test_strehl.py kernels/test_poses.py mechanics/test_linear_system.py mechanics/test_spectra.py \
+  firmware/test_gains_header.py imaging/test_mtf.py imaging/test_detector.py \
+  kernels/test_poses.py kernels/test_surfaces.py mechanics/test_linear_system.py mechanics/test_spectra.py \
   optics/test_paraxial.py optics/test_zernike.py optics/test_shape_sag.py reduction/test_krylov.py \
   rare/test_certificate.py report/test_table.py report/test_statistics.py workflows/test_journal.py workflows/test_study.py \
   fuzz/test_fuzz.py viewer/test_film.py
 
 test-fast: $(VENV)/.dev
-	$(BIN)/python $(PYTEST) -q -k "not bits_do_not_depend and not damaged_file" $(addprefix tests/,$(FAST))
+	$(BIN)/python $(PYTEST) -q -k "not bits_do_not_depend and not variants_of_studies and not damaged_file" $(addprefix tests/,$(FAST))
 
 soak: $(VENV)/.dev
 	SOAK_KILLS=$${SOAK_KILLS:-200} SOAK_SEEDS=$${SOAK_SEEDS:-100000} \

@@ -26,10 +26,15 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
         default = (
             "required"
             if info.default is PydanticUndefined and not info.default_factory
-            else f"`{info.get_default(call_default_factory=True)}`"
+            else shown(info.get_default(call_default_factory=True))
         )
         lines.append(f"| `{name}` | {default} | {info.description or ''} |")
     return "\n".join(lines) + "\n" if len(lines) > 2 else ""
+
+
+def shown(default: Any) -> str:
+    """Return a default as it stands in a study file; nothing where there is none."""
+    return "" if default in (None, "", ()) else f"`{default}`"
 
 
 def models(annotation: Any) -> list[type[BaseModel]]:

@@ -61,7 +61,6 @@ def compute(name, workers=False):
     kind, text = kind_of(study), study.identity_text()
     per_case = kind.template(text).per_case
     if not workers:  # what the command line asks before it computes may prepare something in this process
-        kind.check(text)
         _ = [*kind.notices(text)], kind.describe(text), kind.case_table(text, 0, 1)
     with TemporaryDirectory() as folder:
         dataset = wq.run(study, store=Path(folder) / "store", **where).load()

@@ -125,7 +125,7 @@ RECORDED = {
     "controller-mor": Small("controller-mor", CONTROLLED),
     "double-gauss": Small("double-gauss", {"optics.rays": 100}, 8),
     "double-gauss-slopes": Small(
-        "double-gauss", {"optics.rays": 120, "wavefront.method": "slopes", "wavefront.zernike_terms": 15}, 8
+        "double-gauss", {"optics.rays": 120, "wavefront.method": "slopes", "wavefront.zernike_terms": 15}, 4
     ),
     "double-gauss-sphere": Small(
         "double-gauss",
@@ -207,7 +207,9 @@ RECORDED = {
         },
         1,
     ),
-    "tmt-m1-control": Small("tmt-m1-control", {"mirror.telescope": "tmt-18"}, 2),
+    "tmt-m1-control": Small(
+        "tmt-m1-control", {"mirror.telescope": "tmt-18", "control.bandwidths_hz": [0.3, 2.0]}, 2
+    ),
     "tmt-million": Small("tmt-million", {}, 40),
     "tmt-million-series": Small(
         "tmt-million", {"store.reduce": "none", "optics.modal_tolerance_nm": 1e-4}, 3

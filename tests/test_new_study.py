@@ -48,6 +48,7 @@ def test_lenses_are_found_by_their_glass():
 def test_bodies_are_called_what_their_surfaces_are(wavequake):
     """Rubin's filter and its third lens keep their names; surfaces that are numbered make numbered lenses."""
     assert wavequake("new", "rubin")[0] == 0
+    assert "2 fields: (0, 0) deg; (0, 1) deg" in Path("rubin.toml").read_text()
     bodies = {body.name: list(body.surfaces) for body in load_study("rubin.toml").body}
     assert bodies == {name: [f"{name} front", f"{name} back"] for name in ("L1", "L2", "filter", "L3")}
     assert wavequake("new", "cooke_triplet.zmx")[0] == 0

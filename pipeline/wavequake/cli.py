@@ -36,6 +36,7 @@ from wavequake.terminal import (
     live_progress,
     out,
     print_pairs,
+    rate_words,
 )
 from wavequake.words import are, counted
 
@@ -179,9 +180,9 @@ def run(
                 recheck=share,
             )
     if summary.computed:
-        rate = summary.computed / max(summary.seconds, 1e-9)
         again = f", {summary.again} of them again, whose chunk was not full" if summary.again else ""
-        spent = f"{summary.seconds:.1f} s ({rate:.1f} cases/s){again}; {summary.done_before} done before."
+        speed = rate_words(summary.computed / max(summary.seconds, 1e-9))
+        spent = f"{summary.seconds:.1f} s ({speed} cases/s){again}; {summary.done_before} done before."
         out.print(f"{counted(summary.computed, 'case')} computed in {spent}")
     else:
         out.print(f"All done already ({counted(summary.done_before, 'case')}); nothing was computed.")

@@ -4,6 +4,7 @@ import os
 import shlex
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -102,7 +103,7 @@ def print_in_blocks(table: Table) -> None:
 def in_blocks(table: Table, width: int) -> list[Table]:
     """Return a table as blocks of columns, each with the labels, that fit a width without cutting a number.
 
-    Labels are the first columns that are aligned to the left; long ones wrap.
+    Labels are the first columns that are aligned to the left; long ones wrap, if they may.
     """
     gap = sum(table.padding[1::2]) + (table.box is not None)
     wide = [
@@ -113,9 +114,10 @@ def in_blocks(table: Table, width: int) -> list[Table]:
     for place in range(labels):
         words = [_plain(cell) for cell in (table.columns[place].header, *table.columns[place].cells)]
         longest = max(cell_len(word) for one in words for word in one.split() or [""])
-        wide[place] = min(wide[place], max(longest, _LABEL // labels))
+        if not table.columns[place].no_wrap:
+            wide[place] = min(wide[place], max(longest, _LABEL // labels))
         table.columns[place].width = wide[place]
-    room = width - 2 - sum(wide[:labels]) - gap * labels
+    room = width - 2 - sum(wide[:labels]) - gap * (labels - (not table.pad_edge))
     groups: list[list[int]] = [[]]
     for place in range(labels, len(wide)):
         if groups[-1] and sum(wide[one] + gap for one in (*groups[-1], place)) > room:
@@ -152,7 +154,8 @@ def fail(message: str, code: int, debug: bool, details: str = "") -> NoReturn:
 def live_progress() -> Iterator[Callable[[int, int, int], None]]:
     """Give a callback (done, total, quarantined): one live line on a terminal, plain lines elsewhere."""
     if not out.is_terminal:
-        yield _plain_progress()
+        with _plain_progress() as update:
+            yield update
         return
     columns = (
         BarColumn(),
@@ -223,17 +226,33 @@ def rate_words(rate: float) -> str:
     return f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
 
 
-def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
-    rate, last = _Rate(), [0.0]
+@contextmanager
+def _plain_progress(
+    every_s: float = 5.0, silent_s: float = 20.0
+) -> Iterator[Callable[[int, int, int], None]]:
+    """Give a callback that prints a line at most so often; a line comes, too, when nothing has for long."""
+    rate, begun, over = _Rate(), time.monotonic(), threading.Event()
+    said, last = "preparing", 0.0
 
     def update(done: int, total: int, quarantined: int) -> None:
-        first, speed, now = not last[0], rate(done), time.monotonic()
-        if (now - last[0] < every_s and done < total) or (first and done == total):
+        nonlocal said, last
+        first, speed, now = not last, rate(done), time.monotonic()
+        if (now - last < every_s and done < total) or (first and done == total):
             return
-        last[0] = now
-        left = f"{(total - done) / speed:.0f} s left" if speed > 0 else "starting"
-        out.print(
-            f"{done}/{counted(total, 'case')}  {rate_words(speed)}/s  {left}  {quarantined} quarantined"
-        )
+        last, said = now, progress_words(done, total, speed, quarantined)
+        left = f"  {(total - done) / speed:.0f} s left" if speed > 0 and done < total else ""
+        out.print(said + left)
 
-    return update
+    def remind() -> None:
+        while not over.wait(silent_s):
+            now = time.monotonic()
+            if now - max(last, begun) >= silent_s:
+                out.print(f"{said}  after {now - begun:.0f} s")
+
+    reminding = threading.Thread(target=remind, daemon=True)
+    reminding.start()
+    try:
+        yield update
+    finally:
+        over.set()
+        reminding.join()

@@ -124,31 +124,46 @@ def test_nan_phases_give_nan_images_alone():
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 
 
-@pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
-@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-14), ("float32", 2e-6)])
-@pytest.mark.parametrize("pixels", [64, 33])
-def test_devices_agree_with_numpy(flower, device, dtype, tolerance, pixels):
-    halves = sampled_pupil(segments(flower.corners), 128, 2700.0)  # cells with two segments
+@pytest.fixture(scope="module")
+def halves(flower):
+    """Cells with two segments."""
+    return sampled_pupil(segments(flower.corners), 128, 2700.0)
+
+
+@pytest.fixture(scope="module", params=[64, 33])
+def known(request, halves):
+    """Grids with phases, their images, and a sum of these, all by the twin."""
     # Half rows in pieces, and whole ones that are dark: the shadow of a vane that reaches over the rim.
     pieces = sampled_pupil(blocked(annulus(1.0, 0.3), vane([0.2, -2.0], [1.2, 2.0], 0.2)), 64, 2.0)
     beam = sampled_pupil(blocked(annulus(1.0), vane([0.0, 0.1], [2.0, 0.1], 0.2)), 65, 2.0)
-    kinds = []
+    found = []
     for grid in (GRIDS[0.4], halves, pieces, beam):
         phase = np.random.default_rng(3).normal(0, 1.0, (5, grid.cells.size))
-        transform, folded = (matrix_fourier(grid, pixels, 0.3, on, dtype) for on in (NUMPY, device))
+        transform = matrix_fourier(grid, request.param, 0.3, NUMPY)
+        images = psf(transform, phase)
+        total = np.einsum("b,bij", WEIGHTS, images)
+        np.testing.assert_allclose(psf_sum(transform, phase, WEIGHTS), total, atol=1e-14)
+        found.append((grid, phase, images, total))
+    return request.param, found
+
+
+WEIGHTS = np.array([0.1, 0.0, 0.4, 0.3, 0.2])
+
+
+@pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-14), ("float32", 2e-6)])
+def test_devices_agree_with_numpy(known, device, dtype, tolerance):
+    (pixels, grids), kinds = known, []
+    for grid, phase, images, total in grids:
+        folded = matrix_fourier(grid, pixels, 0.3, device, dtype)
         kinds.append((folded.starts is not None, folded.gather is not None))
-        expected, weights = psf(transform, phase), np.array([0.1, 0.0, 0.4, 0.3, 0.2])
-        assert np.abs(psf(folded, phase) - expected).max() < tolerance
-        for on in (transform, folded):
-            assert psf_sum(on, phase, weights) == pytest.approx(
-                np.einsum("b,bij", weights, expected), abs=tolerance
-            )
+        assert np.abs(psf(folded, phase) - images).max() < tolerance
+        assert psf_sum(folded, phase, WEIGHTS) == pytest.approx(total, abs=tolerance)
     assert kinds == [(True, False), (False, False), (False, True), (True, False)]
 
 
 @pytest.mark.parametrize("device", [NUMPY, *OPENCL], ids=lambda device: device.kind)
-def test_amplitudes_image_as_an_apodized_pupil_does(flower, device):
-    halves = sampled_pupil(segments(flower.corners), 128, 2700.0)
+def test_amplitudes_image_as_an_apodized_pupil_does(halves, device):
     for grid in (GRIDS[0.4], halves):
         rng = np.random.default_rng(4)
         transmission, phase = rng.random(grid.cells.size), rng.normal(size=(9, grid.cells.size))

@@ -131,3 +131,23 @@ def test_figures_that_no_kernel_knows_are_refused(telescope, change, said):
 def test_the_sequential_trace_does_not_ignore_segments(telescope):
     with pytest.raises(UserError, match="M1 of tmt-18 carries segments"):
         pack(telescope, 550e-6)
+
+
+@pytest.mark.parametrize("name", ["double-gauss", "tmt-18"])
+def test_the_plane_is_the_best_one_however_many_terms_are_fitted(name, telescope):
+    """The polynomials are not orthogonal at rays; the rms about the plane is the least of all planes."""
+    system = telescope if name == "tmt-18" else wq.load_system(name)
+    states = wq.rest_states(system, 2)
+    states.surface_motion[1, -3] = [
+        0.02,
+        0.01,
+        0.05,
+        2e-4,
+        1e-4,
+        0.0,
+    ]  # a mirror, or a lens
+    few, many = (wq.trace(system, states, rays=400, terms=terms, device="numpy") for terms in (3, 37))
+    for number in ("rms_flat", "pv", "strehl"):
+        np.testing.assert_allclose(getattr(few, number), getattr(many, number), rtol=1e-9, err_msg=number)
+    assert np.abs(few.zernike[:, 1:3] - many.zernike[:, 1:3]).max() > 1e-6
+    assert (many.rms_flat < many.rms_raw).all()

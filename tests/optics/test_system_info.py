@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import jn_zeros
 
+from wavequake.drawing.light import field_names
 from wavequake.errors import UserError
 from wavequake.optics.catalog.names import optical_system
 from wavequake.optics.media.glasses import Medium
@@ -140,6 +141,9 @@ def test_resolution_is_the_radius_of_the_airy_disk(name, wavelength, f_number):
 
 def test_fields_of_a_telescope_are_angles():
     assert "(5, 0) arcmin" in line_of(info(optical_system("tmt")), "field")
+    double_gauss = optical_system("double-gauss")
+    wide = line_of(info(double_gauss), "field")
+    assert all(field in wide for field in field_names(double_gauss)), wide  # called as in tables and legends
 
 
 def test_bad_systems_are_refused():

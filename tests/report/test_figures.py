@@ -1,6 +1,7 @@
 """Figures show what they say, in one size, also for the odd campaign."""
 
 import io
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -11,6 +12,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.image import imread
 
 from wavequake.report import figures
+from wavequake.report.exposures.figures import Panel, exposure_panels
 from wavequake.report.page import Picture, inline_svg
 from wavequake.report.populations import populations
 from wavequake.report.segments.detail import Bent
@@ -233,3 +235,15 @@ def test_figures_of_segments_have_their_heights_as_colors(detail):
     np.testing.assert_allclose(glass.get_facecolor(), expected, atol=1e-12)
     assert "rms 9.49 nm" in axes.get_title(loc="left")  # the root of (36 + 144) / 2
     assert side.get_ylabel() == "height (nm)"
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_labels_of_exposures_are_inside_the_figure(count):
+    axis = np.linspace(-7.75, 7.75, 32)
+    image = np.exp(-np.add.outer(axis**2, axis**2) / 4.0) + 1e-4
+    panels = [Panel(f"controller {number}", image, np.zeros((3, 2))) for number in range(count)]
+    svg = inline_svg(exposure_panels(panels, axis), "exposures")
+    baselines = re.findall(r'rotate\(-90 ([\d.]+) [\d.]+\)">y ', svg)
+    assert len(baselines) == -(-count // 2)
+    assert min(map(float, baselines)) > 0.76 * 9.0  # what a line of 9 points rises above its baseline
+    assert svg.count(">x (") == min(count, 2)

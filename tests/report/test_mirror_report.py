@@ -11,7 +11,8 @@ from rich.console import Console
 from wavequake.report.mirrors import figures as mirror_figures
 from wavequake.report.mirrors import report as mirrors
 from wavequake.report.mirrors import traces as mirror_traces
-from wavequake.report.mirrors.variants import criterion_of, largest, left_out, model_results, representatives
+from wavequake.report.mirrors.variants import criterion_of, largest, model_results, representatives
+from wavequake.report.populations import left_out
 
 # Name, order, wavefront error (nm) under the two excitations, line of sight (mm), image.
 VARIANTS = (
@@ -129,8 +130,8 @@ def test_errors_far_below_the_bound_keep_a_row_of_the_table_on_one_line():
 
 def test_failed_variants_and_a_missing_reference_are_told():
     dataset = made(failed=("bt36",))
-    (left,) = left_out(dataset)
-    assert (left.reason, left.message, left.disturbance) == ("raised", "no modes", "disc bt36")
+    (left,) = left_out(dataset, ["model", "variant"])
+    assert (left.reason, left.message, left.disturbance) == ("raised", "no modes", "disc / bt36")
     models, criterion = mirrors.results_of(made(failed=("full",)))
     assert "the reference is not done" in mirrors.answer(models, criterion)
     others = tuple(name for name, *_ in VARIANTS if name != "full")

@@ -1,6 +1,6 @@
 """A parabola of 1 m; a small Cassegrain that is shaken, and loops that steer its M2."""
 
-from study_text import part
+from study_text import controller, part, steered
 
 PARABOLA = """
 [study]
@@ -72,30 +72,8 @@ IMAGES = """
 pixels = 32
 sampling = 0.25
 """
-LOOP = """
-[[sensor]]
-name = "sight"
-model = "line-of-sight"
-rate_hz = 1000.0
-
-[[actuator]]
-name = "steer"
-model = "optic"
-of = "M2"
-dofs = ["rx", "ry"]
-
-[[controller]]
-name = "off"
-model = "off"
-"""
-INTEGRATOR = """
-[[controller]]
-name = "integrator"
-model = "integrator"
-sensor = "sight"
-actuator = "steer"
-gain = 0.3
-"""
+LOOP = steered("M2", ["rx", "ry"], 1000.0)
+INTEGRATOR = controller("integrator", "integrator", "sight", "stage", gain=0.3)
 PERFECT = INTEGRATOR.replace("integrator", "perfect").replace("gain = 0.3\n", "")
 
 

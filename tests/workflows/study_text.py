@@ -21,3 +21,16 @@ def controller(name, model, sensor="", actuator="", **keys):
     """Return a controller; without a sensor it has none."""
     joined = {"sensor": sensor, "actuator": actuator} if sensor else {}
     return part("controller", name=name, model=model, **joined, **keys)
+
+
+def force(at, hertz, newtons, **keys):
+    """Return a force at a frequency on a node of a body."""
+    lines = [{"frequency_hz": hertz, "force_n": newtons}]
+    return part("disturbance", model="body-force", at=[at], **keys, lines=lines)
+
+
+def steered(of, dofs, rate_hz, **keys):
+    """Return a sensor of the line of sight, a stage that moves an element, and no controller yet but off."""
+    sensor = part("sensor", name="sight", model="line-of-sight", rate_hz=rate_hz)
+    stage = part("actuator", name="stage", model="optic", of=of, dofs=dofs, **keys)
+    return sensor + stage + controller("off", "off")

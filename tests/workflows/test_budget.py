@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.motion import scaled, still
 from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.workflows.budgets.budget import budget, open_budget, stored_budget, summed
+from wavequake.workflows.budgets.elements import with_element
 from wavequake.workflows.budgets.segments import Factors, rings_of, variants
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.bench import bench_of
@@ -119,6 +121,17 @@ def test_drawing_one_source_again_leaves_the_others_as_they_are(study):
     ring_1_again = motions[8].segment_motion[0, :, 2]
     np.testing.assert_array_equal(ring_1_again, np.where(factors.rings == 1, other, one))
     assert abs(np.corrcoef(one, other)[0, 1]) < 0.6
+
+
+def test_an_element_that_is_held_neither_moves_nor_deforms_and_the_others_stay():
+    shapes = {"rigid": (2, 6), "figure": (2, 11), "grid": (2, 4, 4)}
+    shaken = still(
+        2, 3, **{key: {name: np.ones(shape) for name in ("M2", "M3")} for key, shape in shapes.items()}
+    )
+    held = with_element(shaken, scaled(shaken, 0.0), "M2")
+    for key in shapes:
+        found = getattr(held, key)
+        assert (found["M2"].any(), found["M3"].all()) == (False, True), key
 
 
 def test_variance_of_a_sum_of_pistons_is_mostly_that_of_the_coarse_ones(found):

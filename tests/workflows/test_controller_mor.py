@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.cli import app
+from wavequake.control.robustness.residual import open_covariance
 from wavequake.errors import UserError
 from wavequake.mechanics.mirrors.models import HexagonalSegment, hexagonal_segment, on_springs
 from wavequake.mechanics.vibration.full_response import dynamic_response
@@ -89,6 +90,19 @@ def test_a_small_study_agrees_with_all_degrees_of_freedom_dense(tmp_path):
         # As a share of the pole; rounding of the dense problem, whose largest poles are 1e6 times as large.
         first = poles[poles.real.argmax()]
         assert abs(dataset["growth"].to_numpy()[row] - first.real) < 1e-8 * abs(first)
+    # Between what all of the wavefront would cost, and its figure alone; that of the surface drawn at random.
+    stable = dataset["stable"].to_numpy() == 1.0
+    assert stable.any()
+    whole, figure, strehl = (dataset[key].to_numpy()[stable] for key in ("wavefront", "figure", "strehl"))
+    square = (2 * np.pi / study.image.wavelength_nm) ** 2
+    assert np.all(np.exp(-square * whole**2) < strehl)
+    assert np.all(strehl < 1 - 0.9 * square * figure**2)
+    opened = dataset["open_exposure"].to_numpy()
+    root = np.linalg.cholesky(open_covariance(bench.plant) + 1e-30 * np.eye(len(bench.plant.squared)))
+    drawn = bench.heights @ root @ np.random.default_rng(0).standard_normal((root.shape[1], 4000))
+    peaks = np.abs(bench.beams.weights @ np.exp(4j * np.pi * drawn / (1e-9 * study.image.wavelength_nm))) ** 2
+    assert opened.max() == pytest.approx(peaks.mean(), abs=4 * peaks.std() / np.sqrt(4000))
+    assert np.isnan(dataset["exposure"].to_numpy()[~stable]).all()
     levels = levels_of(dataset)
     assert levels[0].enough is not None
     assert "Effort 0.1: " in answer(levels)
@@ -99,6 +113,7 @@ def test_a_small_study_agrees_with_all_degrees_of_freedom_dense(tmp_path):
         "Poles of the loops with the full model",
         "Margins over the order",
         "is the smallest model",
+        "Long exposures of a star",
     ):
         assert words in text
 
@@ -136,6 +151,9 @@ def test_wavefronts_of_rigid_motion_have_no_figure():
         ({"controller.effort": [0.1, 0.0]}, "an effort is 0; forces must cost something"),
         ({"controller.effort": [0.1, 0.1]}, "an effort is listed twice"),
         ({"model.spring_n_m": [5e6, 0.0, 5e6]}, "each support needs three positive spring constants"),
+        ({"controller.effort": [1e-300]}, "an effort is 1e-300; forces must cost something"),
+        ({"controller.force_n": 1e-300}, "controller.force_n: input should be greater than or equal to"),
+        ({"sensors.radius_m": 100.0}, "sensors.radius_m is 100, but the mirror ends at 0.7"),
         ({"model.damping_beta": 0.0}, "modes that nobody controls must decay"),
         ({"reduction.variants": ["craigb5000"]}, "5000"),
         ({"model.modes": 3000}, "model.modes is 3000, but the full model has"),

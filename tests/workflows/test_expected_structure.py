@@ -1,6 +1,5 @@
 """Controllers that know what a telescope's structure does: integrals over spectra, several sensors."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -76,12 +75,10 @@ zeta = 0.1
 m2 = { dz = 1.0 }
 """
     study = written(tmp_path, ONE_MODE + more, SHAKEN)
-    (line,) = notices(study)
-    assert re.fullmatch(
-        r"controller\.knows\.structure: the sensor 'eye' sees the mode 'breathing' \(6 Hz\) \de-\d+ of what "
-        r"it sees most; it is not expected\.",
-        line,
-    )
+    assert list(notices(study)) == [
+        "controller.knows.structure: the sensor 'eye' sees the mode 'breathing' (6 Hz) not at all; it is not "
+        "expected."
+    ]
     assert not list(notices(written(tmp_path, ONE_MODE, SHAKEN)))
 
 
@@ -213,7 +210,7 @@ def test_loops_of_two_sensors_have_the_poles_and_margins_of_python_control(two_s
         ("resonance_hz = 200.0\nm2", "integration = 0.5\nm2", "'both' have different frames"),
         ('"lqg-fusion"\nsensor = "eye"\nalso', '"lqg"\nsensor = "eye"\nalso', "'both' takes one sensor"),
         ("noise = 1e-5", "noise = 0.0", "controller.both: A filter needs positive noise"),
-        ("rms_nm", "# ", "controller.both.structure: no sensor sees a .* block shaken"),
+        ("rms_nm", "# ", "controller.both.structure: no sensor sees a mode of the structure shaken"),
     ],
 )
 def test_sensors_that_do_not_fit_each_other_are_said_in_a_sentence(old, new, words, tmp_path):

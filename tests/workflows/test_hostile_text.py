@@ -84,6 +84,21 @@ def test_the_time_that_is_left_does_not_count_the_start(monkeypatch):
     assert late[-1] == pytest.approx(4.0, rel=0.02)
 
 
+def test_a_log_says_now_and_then_that_a_run_still_prepares(monkeypatch):
+    file = io.StringIO()
+    monkeypatch.setattr(terminal, "out", terminal._Console(file=file, force_terminal=False, width=110))
+    with terminal._plain_progress(silent_s=0.2) as update:
+        while file.getvalue().count("\n") < 2:
+            time.sleep(0.01)
+        update(0, 6, 0)
+        while file.getvalue().count("\n") < 4:
+            time.sleep(0.01)
+    lines = file.getvalue().splitlines()
+    assert lines[0].startswith("preparing  after 0 s")
+    assert lines[2:3] == ["0/6 cases  starting"]
+    assert lines[3].startswith("0/6 cases  starting  after ")
+
+
 @pytest.mark.parametrize("tabled", [False, True])
 def test_the_terminal_shows_and_does_not_obey(monkeypatch, tabled):
     file = io.StringIO()

@@ -43,7 +43,7 @@ actuator = "{actuator}"
         ({"actuator": "figure"}, "tells 2 of 14 motions of the actuator 'figure' apart"),
         (
             {"actuator": "figure"},
-            "so that 'Z2', 'Z3', 'Z4', 'Z5' and 8 more are, at 0 Hz (its own dynamics: 1000 Hz), not",
+            "so that 'Z4', 'Z5', 'Z6', 'Z7' and 8 more are, at 0 Hz (its own dynamics: 1000 Hz), not",
         ),
         ({"actuator": "figure", "keys": "modes = 3"}, "tells 2 motions of 'figure' apart, not modes = 3"),
         ({"keys": "gain = 1.7"}, "controller.more is unstable: "),
@@ -54,6 +54,10 @@ actuator = "{actuator}"
         (
             {"model": "lqr", "keys": "lines = [{ hz = 0.3, rms = 1.0 }]"},
             "a line at 0.3 Hz cannot be 0.5 Hz wide; fwhm_hz must be between 3e-05 and 0.3",
+        ),
+        (
+            {"model": "lqg", "keys": "structure = true"},
+            "controller.more.structure: there is neither",
         ),
         ({"model": "state-space", "keys": "each = true"}, "give a, b and c, or d alone"),
         ({"model": "integrater"}, "controller.more.model: there is no model 'integrater'"),
@@ -101,6 +105,22 @@ def test_loops_that_cannot_be_are_said_in_a_sentence(block, words, tmp_path):
         ({"sensor.wavefront.terms": 6}, "tells 5 of 14 motions of the actuator 'figure' apart, so that"),
         ({"sensor.faint.name": "sight"}, "two sensors are called 'sight'"),
         ({"sensor.wavefront.noise": 0.0}, "controller.elastic-lqg/0.5: The noise of the sensor is 0"),
+        ({"actuator.tilt.dofs": ["rx", "rx"]}, "actuator.tilt.dofs: 'rx' is named twice"),
+        ({"actuator.tilt.slew": 1e-3}, "actuator.tilt is saturated from the start: 'history' asks r"),
+        ({"actuator.tilt.slew": 1e-3}, "per second half of the time (most at "),
+        (
+            {"sensor.sight.integration": 1e-300},
+            "integration: input should be greater than or equal",
+        ),
+        ({"sensor.sight.noise_density": 1e300}, "noise_density: input should be less than or equal to"),
+        ({"sensor.sight.quantum": 1e-300}, "sensor.sight.quantum: it is 1e-300; give 0, or 1e-15 or more"),
+        ({"sensor.sight.photons": 1e-300}, "sensor.sight.photons: it is 1e-300; give 0, or 0.001 or more"),
+        ({"sensor.sight.spot_mas": 1e300}, "spot_mas: input should be less than or equal to"),
+        (
+            {"sensor.wavefront.magnification": 1e300},
+            "magnification: input should be less than or equal",
+        ),
+        ({"sensor.wavefront.shift": [0.0, 3.0]}, "shift: it is 0, 3 radii, so that the sensor stands beside"),
         ({"look.traced": 51}, "look.traced is 51, but there are cases of 50 instants"),
         ({"wavefront.method": "slopes"}, "loops need wavefront.method = 'opd'"),
         ({"sensor.sight.rate_hz": 1e9}, "rate_hz: input should be less than or equal to 100000"),
@@ -121,10 +141,22 @@ def test_blocks_that_do_not_fit_are_said_in_a_sentence(changes, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_stage_that_does_nothing_to_the_light_is_no_matter_of_rays(tmp_path):
-    stage = '[[actuator]]\nname = "flat"\nmodel = "optic"\nof = "M3"\ndofs = ["dy"]\n'
+@pytest.mark.parametrize(
+    ("stage", "dof"), [('"optic"\nof = "M3"', "dy"), ('"m2-rigid"', "rz"), ('"m2-rigid"', "dz")]
+)
+def test_what_a_sensor_does_not_see_is_no_matter_of_rays(stage, dof, tmp_path):
+    """Neither M3 in its plane nor M2 about its axis move light, along it only the wavefront."""
+    stage = f'[[actuator]]\nname = "flat"\nmodel = {stage}\ndofs = ["{dof}"]\n'
     loop = MORE.format(model="integrator", sensor="sight", actuator="flat", keys="bandwidth_hz = 4.0")
-    with pytest.raises(UserError, match="'sight' does not see 'dy' of the actuator 'flat' at all"):
+    with pytest.raises(UserError, match=f"'sight' does not see '{dof}' of the actuator 'flat' at all"):
+        wq.plan(written(tmp_path, f"\n{stage}{loop}"))
+
+
+def test_channels_that_a_sensor_does_not_see_are_named(tmp_path):
+    stage = '[[actuator]]\nname = "both"\nmodel = "m2-rigid"\ndofs = ["rx", "dz"]\nresonance_hz = 90.0\n'
+    loop = MORE.format(model="integrator", sensor="sight", actuator="both", keys="bandwidth_hz = 4.0")
+    words = r"tells 1 of 2 motions of the actuator 'both' apart, so that 'dz' is, at 0 Hz"
+    with pytest.raises(UserError, match=words):
         wq.plan(written(tmp_path, f"\n{stage}{loop}"))
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from study_text import force
 
 import wavequake as wq
 from wavequake.errors import UserError
@@ -36,16 +37,8 @@ surfaces = ["M1"]
 file = "modes.csv"
 figure_terms = 11
 damping_ratios = 0.01
-
-[[disturbance]]
-name = "push"
-model = "body-force"
-at = ["primary.1"]
-direction = [0.0, 0.0, 1.0]
-instants = 32
-duration_s = 0.5
-lines = [{ frequency_hz = 10.0, force_n = 2.0 }]
 """
+STUDY += force("primary.1", 10.0, 2.0, name="push", direction=[0.0, 0.0, 1.0], instants=32, duration_s=0.5)
 MASS = 5.0
 NOLL5 = 3e-3  # 1/sqrt(kg): of a figure of 1 m per root of modal mass
 

@@ -163,6 +163,8 @@ def test_a_run_says_how_fast_and_what_remains(tmp_path, drawn):
         ({"bandwidths_hz": [20.0]}, "more than a sixth of rate_hz = 50"),
         ({"slow": [{"first": 1, "last": 3, "factor": 0.5}] * 2}, "names mode 1 twice"),
         ({"mirror": {"actuator_angles_deg": [0.0, 90.0, 360.0]}}, "three angles"),
+        ({"mirror": {"actuator_angles_deg": [0.0, 90.0, 90.5]}}, "three angles, 1 deg or more apart"),
+        ({"mirror": {"actuator_angles_deg": [0.2, 90.0, 359.5]}}, "three angles, 1 deg or more apart"),
     ],
 )
 def test_bad_input_is_one_sentence(changes, words):

@@ -13,7 +13,7 @@ from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.prepared import trace_states
 from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.images import energy_scale, image_axis
+from wavequake.workflows.segments.images import energy_scale
 from wavequake.workflows.segments.launches import slot, surface_states
 from wavequake.workflows.study import study_with
 
@@ -58,7 +58,7 @@ def test_the_line_of_sight_is_the_one_that_was_drawn(text, chunk, name):
 def test_the_image_goes_where_the_line_of_sight_goes(text, chunk):
     """Mean of the exposure's own centroid against the mean line of sight, both on the sky: sign and scale."""
     bench = bench_of(text)
-    axis = image_axis(bench)
+    axis = workflow.template(text).fixed["x"][1]
     unit = (
         bench.prepared.wavelength / (2 * bench.system.annulus.outer) * 180 / np.pi * 3600e3
     )  # lambda/D in mas

@@ -153,7 +153,7 @@ def test_a_loop_that_pushes_its_structure_out_of_bounds_names_the_mode(tmp_path)
         UserError, match=r"by the mode '.* of the bodies' \(.* Hz\); were all stiff, it would"
     ):
         wq.plan(path)
-    light = load_study(path, {"actuator.steer.mass_kg": 1e-6})
+    light = load_study(path, {"actuator.stage.mass_kg": 1e-6})
     (alone,) = loops_of(load_study(written(tmp_path, LOOP, INTEGRATOR, feet)))
     (found,) = loops_of(light)
     assert found.gain_up == pytest.approx(alone.gain_up, rel=1e-5)
@@ -183,7 +183,7 @@ def test_a_mass_that_nothing_carries_is_refused(of, bodies, words, tmp_path):
     path = written(tmp_path, LOOP.replace('of = "M2"', f'of = "{of}"\nmass_kg = 2.0'), PERFECT)
     if not bodies:
         path.write_text(path.read_text().replace(BODIES, ""))
-    with pytest.raises(UserError, match=f"actuator.steer.mass_kg: {words}"):
+    with pytest.raises(UserError, match=f"actuator.stage.mass_kg: {words}"):
         optics_of(load_study(path))
 
 
@@ -194,7 +194,7 @@ def test_a_stage_under_a_surface_pushes_with_the_mass_that_it_is_told(tmp_path):
     for of in ("secondary", "M2"):
         stage = LOOP.replace('of = "M2"', f'of = "{of}"\nmass_kg = 12.0')
         optics = optics_of(load_study(written(tmp_path, stage, soft)))
-        found.append(optics.answers[0].drives["steer"])
+        found.append(optics.answers[0].drives["stage"])
     # The body turns about the vertex of its surface.
     assert_allclose(found[0], found[1], rtol=1e-9, atol=1e-12 * np.abs(found[0]).max())
 
@@ -202,7 +202,7 @@ def test_a_stage_under_a_surface_pushes_with_the_mass_that_it_is_told(tmp_path):
 def test_what_does_not_say_its_mass_does_not_push_and_is_named(tmp_path):
     found = load_study(written(tmp_path, LOOP, PERFECT))
     (said,) = pushing_notices(found)
-    assert said.startswith("actuator.steer: the body 'secondary' carries 'M2', but how much of its mass")
+    assert said.startswith("actuator.stage: the body 'secondary' carries 'M2', but how much of its mass")
     assert optics_of(found).answers == ()
 
 
@@ -222,10 +222,10 @@ def test_nodes_that_sensors_read_keep_momentum_in_space(tmp_path):
     (answer,) = optics.answers
     names, first = optics.light.nodes, len(optics.light) - len(optics.light.nodes)
     rows = {name: first + k for k, name in enumerate(names)}
-    channels = optics.sights["steer"].shape[1]
+    channels = optics.sights["stage"].shape[1]
     for s in (20j, 2e3j + 1.0):
         each = [one.c @ np.linalg.solve(s * np.eye(2) - one.a, one.b + 0j) + one.d for one in answer.dynamics]
-        found = (answer.shown * each) @ answer.drives["steer"] + optics.sights["steer"]
+        found = (answer.shown * each) @ answer.drives["stage"] + optics.sights["stage"]
         for dof in ("dx", "dy", "dz"):
             total = 200.0 * found[rows[f"primary.{dof}"]] + 12.0 * found[rows[f"secondary.{dof}"]]
             assert_allclose(total, np.zeros(channels), atol=1e-7)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import wavequake as wq
-from wavequake import cli
+from wavequake import cli, terminal
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.optics.derivatives.sensitivity import rigid_sensitivity
 from wavequake.optics.rays.pupils import sunflower
@@ -83,6 +83,17 @@ def test_it_is_computed_once_and_prints_its_tables(study, wavequake):
     code, _, err = run("--figure-terms", "3")
     assert code == cli.EXIT_BAD_INPUT
     assert "no segments" in err
+
+
+def test_every_row_keeps_its_name_and_term_in_a_narrow_terminal(study, wavequake, monkeypatch):
+    monkeypatch.setattr(terminal.out, "_width", 60)
+    code, out, err = wavequake("sensitivity", study, "--store", "here")
+    assert code == 0, err
+    lines = [line.rstrip() for line in out.splitlines()]
+    assert "…" not in out
+    assert any(line.startswith(" L3 front") and " Z1 " in line for line in lines)
+    assert sum(line.lstrip().startswith("Z11 ") for line in lines) > 1
+    assert max(map(len, lines[:-1])) <= 60  # the last one is a path
 
 
 def test_figures_of_lens_faces_act_by_their_index(study):

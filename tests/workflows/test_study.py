@@ -209,6 +209,8 @@ def test_a_custom_telescope_carries_its_polygons(tmp_path, own):
     ("override", "words"),
     [
         ("foo.bar=1", "the key 'foo' is unknown; valid keys are study, campaign, store, telescope"),
+        ("case=8", "The key 'case' has no section; did you mean campaign.cases?"),
+        ("wonder=8", "The key 'wonder' has no section; write section.key=value."),
         ("foo.wavelength_nm=1", "The key 'foo.wavelength_nm' is unknown; did you mean optics.wavelength_nm?"),
         ("optic.wavelength_nm=1", "the key 'optic' is unknown; the nearest valid key is 'optics'"),
         ("optics.wavelenth_nm=1", "the nearest valid key is 'wavelength_nm'"),

@@ -80,7 +80,7 @@ def test_a_detector_that_moves_sees_the_image_move_against_it(tmp_path, name):
     unit = 1.0
     if name == "far":
         unit = 1.0 / (1e6 * paraxial(optics.bench.system).focal_length * RAD_PER_MAS)
-    np.testing.assert_allclose(optics.sights["steer"][:2], -unit * np.eye(2), atol=1e-6 * abs(unit))
+    np.testing.assert_allclose(optics.sights["stage"][:2], -unit * np.eye(2), atol=1e-6 * abs(unit))
 
 
 def test_what_is_seen_goes_straight_between_its_instants(tmp_path):
@@ -118,6 +118,7 @@ def test_a_history_from_a_file_is_taken_at_its_own_instants(tmp_path):
         ('of = "M2"', 'of = "M3"', "there is no surface or body 'M3' to move; there is M1, M2, image"),
         ('model = "line-of-sight"', 'model = "edges"', "reads segments or M2"),
         ("gain = 0.3", "gain = 1.2", "unstable"),
+        ('dofs = ["rx", "ry"]', 'dofs = ["dz"]', "does not see 'dz' of the actuator 'steer' at all"),
         ("[optics]", '[optics]\nlight = "modal"', "optics.light must be 'traced'"),
         ("20.0", "90000.0", "too fast for its loops"),
         ("[wavefront]", '[allow]\nmeasure = "wfe_rms.p95"\nlimit = "1 nm"\n[wavefront]', "allow belongs to"),

@@ -42,9 +42,9 @@ def dozing():
 @pytest.mark.parametrize(
     ("slow", "known", "why"),
     [
-        ("device", ["study", "cases"], "the device is tested"),
-        ("check", ["study", "cases", "device"], "what all cases share is prepared"),
-        ("compute", ["study", "cases", "device", "store"], "a case of the pilot runs"),
+        ("device", ["study", "cases"], "testing the device"),
+        ("check", ["study", "cases", "device"], "preparing what all cases share"),
+        ("compute", ["study", "cases", "device", "store"], "running first cases"),
     ],
 )
 def test_a_plan_answers_in_time(monkeypatch, slow, known, why):
@@ -61,7 +61,7 @@ def test_a_plan_answers_in_time(monkeypatch, slow, known, why):
     assert list(answer)[: len(known)] == known
     assert list(answer)[-1] == "estimate"
     assert "memory" not in answer
-    late = re.fullmatch(rf"not known: {why} still after ([\d.]+) s; --wait (.*)", answer["estimate"])
+    late = re.fullmatch(rf"not known: {why} was not done after ([\d.]+) s; --wait (.*)", answer["estimate"])
     assert 2.0 <= float(late[1]) < 10.0
     assert re.search("; as it is bundled, tmt18-history takes [0-9.]+ m?s of one process ", late[2])
     assert answer["cases"].startswith("60")
@@ -118,7 +118,7 @@ def test_a_plan_that_is_not_done_tells_what_the_study_took_before(monkeypatch, t
     each = measured["studies"]["tmt18-history"][1]
     bundled = plan("tmt18-history", seconds=0.5, cases=6000, store=tmp_path / "none")["estimate"]
     assert bundled.startswith(f"{lasting(6000 * each)} of one process after ")
-    assert f"as measured on {measured['processor']}; what all cases share is prepared still " in bundled
+    assert f"as measured on {measured['processor']}; preparing what all cases share was not done " in bundled
 
 
 def test_a_plan_answers_beside_a_store_that_cannot_be_read(monkeypatch, tmp_path):

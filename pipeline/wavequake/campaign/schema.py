@@ -35,17 +35,29 @@ class Section(BaseModel):
 class StudySection(Section):
     """What the study is called and which workflow runs it."""
 
-    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    workflow: str
-    title: str = ""
-    seed: int = Field(default=20180701, ge=0, lt=2**63)
+    name: str = Field(
+        min_length=1,
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+        description="letters, digits, dots and hyphens; stores are named after it",
+    )
+    workflow: str = Field(description="which kind of study it is, one of those below")
+    title: str = Field(default="", description="one line for lists and reports")
+    seed: int = Field(
+        default=20180701, ge=0, lt=2**63, description="all random numbers follow from it and a case's number"
+    )
 
 
 class CampaignSection(Section):
     """How much of the study to run, and on which device; not part of its identity."""
 
-    cases: int = Field(default=1000, ge=1, le=100_000_000)
-    device: str = Field(default="auto", min_length=1)
+    cases: int = Field(
+        default=1000, ge=1, le=100_000_000, description="how many; a run with more adds what is missing"
+    )
+    device: str = Field(
+        default="auto",
+        min_length=1,
+        description="auto (a GPU, else a CPU), gpu, cpu, numpy, or part of a name in `wavequake devices`",
+    )
     until: str | None = Field(
         default=None,
         description="goal of statistics at which to stop before `cases`, as wfe_rms.p95 ci<=2% or "
@@ -61,7 +73,9 @@ class CampaignSection(Section):
 class StoreSection(Section):
     """Where the results go, which is no part of the identity, and what of them is kept, which is."""
 
-    path: str | None = None
+    path: str | None = Field(
+        default=None, description="folder of the store; by default runs/NAME- and the study's identity"
+    )
     chunk_cases: int | None = Field(
         default=None,
         ge=1,

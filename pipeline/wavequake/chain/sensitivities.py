@@ -210,16 +210,7 @@ def kept_or_made(
 
 
 def open_sensitivity(path: Path | str) -> Arrays:
-    """Read the sensitivities that a store keeps.
-
-    Raises
-    ------
-    UserError
-        If it keeps none, or those of another version of Wavequake.
-    StoreDamageError
-        If they cannot be read.
-    """
+    """Read the sensitivities that a store keeps; raises as `read_arrays`, also if it keeps none."""
     target = Path(path) / SENSITIVITY
-    if not target.exists():
-        raise UserError(f"There are no sensitivities at {target}; wavequake sensitivity STUDY computes them.")
-    return read_arrays(target, SCHEMA)
+    absent = f"There are no sensitivities at {target}; wavequake sensitivity STUDY computes them."
+    return read_arrays(target, SCHEMA, absent)

@@ -21,8 +21,8 @@ def now() -> float:
 
 def keep_time() -> None:
     """Have the event loops and streams of Dask in this process go by `now`."""
-    IOLoop.time = lambda loop: now()  # type: ignore[method-assign]  # documented as what may be replaced
-    distributed.batched.time = now  # type: ignore[assignment]
+    IOLoop.time = lambda loop: now()  # type: ignore[method-assign, assignment]
+    distributed.batched.time = now
 
 
 def dask_setup(server: Any) -> None:

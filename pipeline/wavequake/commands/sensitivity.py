@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from wavequake.commands.options import StoreOption
-from wavequake.terminal import out
+from wavequake.terminal import out, print_in_blocks
 
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
@@ -43,7 +43,7 @@ def sensitivity(
     found, kept = stored_sensitivity(loaded, path, figure_terms, mirror_terms)
     words_of = of_system if loaded.study.workflow.startswith("system-") else of_segments
     for table in words_of.tables(found):
-        out.print(table)
+        print_in_blocks(table)
     for line in words_of.explanations(found):
         out.print(line, markup=False)
     out.print(words_of.answer(found), markup=False, style="bold", highlight=False)

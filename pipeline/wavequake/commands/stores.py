@@ -34,10 +34,6 @@ StoreArgument = Annotated[
 _FEW = 20  # files that are named
 
 
-def _show_link(link: str) -> None:
-    out.print(f"Dashboard: {link}", markup=False, soft_wrap=True)
-
-
 def show_link(link: str) -> None:
     """Print the link of a dashboard."""
     out.print(f"Dashboard: {link}", markup=False, soft_wrap=True)

@@ -26,25 +26,6 @@ _NARROW = 0.01  # of the pupil's radius: gaps that are not drawn
 _LARGEST, _SMALLEST = 9.0, 3.5  # points
 
 
-def aperture_figure(telescope: OpticalSystem, width: float = 7.0) -> Drawing:
-    """Return a telescope's primary mirror as light sees it, x to the right and y up, with the names.
-
-    Parameters
-    ----------
-    telescope : OpticalSystem
-    width : float
-        Of the figure, inches.
-    """
-    with rc_context(STYLE):
-        figure = Drawing(figsize=(width, width + 0.2))
-        axes = figure.add_axes((0.1, 0.09, 0.86, 0.83))
-        draw_aperture(axes, telescope)
-        count = len(telescope.segments)
-        what = "one mirror" if is_monolithic(telescope.segments) else f"{count} segments by name"
-        axes.set_title(f"{telescope.name}: primary mirror from above, {what}")
-    return figure
-
-
 def telescope_figure(
     telescope: OpticalSystem, system: OpticalSystem | None = None, width: float = 11.0
 ) -> Drawing:

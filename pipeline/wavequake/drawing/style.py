@@ -10,6 +10,7 @@ from urllib.parse import quote, unquote
 
 from matplotlib import rc_context
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cbook import is_math_text
@@ -48,6 +49,17 @@ LINES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 _HOVER = "hover:"
 _GROUP = re.compile(rf'<g id="{_HOVER}(?P<texts>[^"]*)">(?P<marks>.*?)</g>', re.DOTALL)
 _MARK = re.compile(r"<(path|use)( [^>]*?)/>", re.DOTALL)
+
+
+def one_panel(width: float = WIDTH, height: float = HEIGHT) -> tuple[Figure, Axes]:
+    """Return a figure of this size in inches with one set of axes."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def curve_style(place: int) -> dict[str, Any]:
+    """Return color and line of one of many curves."""
+    return {"color": COLORS[place % len(COLORS)], "linestyle": LINES[place % len(LINES)], "linewidth": 1.2}
 
 
 class Drawing(Figure):

@@ -64,17 +64,25 @@ def number_powers(axis: Axis) -> None:
     decades = float(np.log10(high / low))
     powers = LogLocator(subs=(1.0,) if decades > _FEW[1] else (1.0, 2.0, 5.0))
     axis.set_major_locator(AutoLocator() if decades < _FEW[0] else powers)
-    axis.set_major_formatter(FuncFormatter(_power))
+    axis.set_major_formatter(FuncFormatter(_power if decades > _FEW[1] else _few_digits))
     axis.set_minor_formatter(NullFormatter())
 
 
 def _power(value: float, place: int | None = None) -> str:
     """Return a power of ten as such, and what else is on a logarithmic axis in few digits."""
     exponent = np.floor(np.log10(value) + 1e-9) if value > 0 else 0.0
+    alone = abs(value / 10.0**exponent - 1.0) < 1e-6
+    return power_of_ten(value) if alone else _few_digits(value)
+
+
+def _few_digits(value: float, place: int | None = None) -> str:
+    """Return a number in few digits, such as 100 between 80 and 120."""
+    exponent = np.floor(np.log10(value) + 1e-9) if value > 0 else 0.0
+    if -4 < exponent < 4:
+        return f"{value:.4g}"
     times = value / 10.0**exponent
-    if abs(times - 1.0) < 1e-6:
-        return power_of_ten(value)
-    return f"{value:.4g}" if -4 < exponent < 4 else f"{times:.4g}·{power_of_ten(10.0**exponent)}"
+    power = power_of_ten(10.0**exponent)
+    return power if abs(times - 1.0) < 1e-6 else f"{times:.4g}·{power}"
 
 
 class Ticks(Artist):

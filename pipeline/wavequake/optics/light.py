@@ -6,16 +6,15 @@ it. A ray that leaves the glass of its segment is lost there; the other kernel l
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import NUMPY, Device, choose_device
+from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import from_tiles, padded
 from wavequake.kernels.sums.opd import path_differences
-from wavequake.kernels.sums.ray_sums import ray_moments
 from wavequake.kernels.trace.sequence import Rays, TracedRays
 from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.kernels.trace.status import GAP, VIGNETTED
@@ -38,7 +37,6 @@ from wavequake.optics.systems.system import (
     wavelength_of,
     with_surface,
 )
-from wavequake.optics.wavefronts.fits import fit_instants, pupil_fit
 from wavequake.optics.wavefronts.record import ARRAYS, Wavefront
 from wavequake.optics.wavefronts.wavefront import (
     about_chief,
@@ -50,6 +48,16 @@ from wavequake.optics.wavefronts.wavefront import (
 )
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Which light is traced, and how many polynomials describe its wavefront."""
+
+    rays: PupilRays
+    terms: int
+    field: int
+    wavelength: float
 
 
 def trace(
@@ -99,15 +107,15 @@ def trace(
         pupil = sunflower(system.pupil.obscuration, 1.0, rays)
         prepared = prepare_system(system, pupil.x, pupil.y, pupil.weight, terms, field, wave)
         return measure_system(prepared, states, on)
-    light = _on_glass(system, rays)
+    light = _Light(_on_glass(system, rays), terms, field, wave)
     beyond = beyond_segments(system, states)
     if not beyond:
-        return _by_segments(system, states, light, terms, field, wave, on)
+        return _by_segments(system, states, light, on)
     if states.segment_figure.any():
         raise UserError(
             f"{beyond}, which the trace of segments does not express, and their figures are known to no other"
         )
-    return _in_sequence(system, states, light, terms, field, wave, on)
+    return _in_sequence(system, states, light, on)
 
 
 def _on_glass(system: OpticalSystem, rays: int) -> PupilRays:
@@ -153,36 +161,24 @@ def _is_more(surface: Surface) -> bool:
     )
 
 
-def _by_segments(
-    system: OpticalSystem,
-    states: States,
-    rays: PupilRays,
-    terms: int,
-    field: int,
-    wave: float,
-    device: Device,
-) -> Wavefront:
+def _by_segments(system: OpticalSystem, states: States, light: _Light, device: Device) -> Wavefront:
     mirror = max((getattr(one.deformation, "terms", 0) for one in system.after_primary), default=0)
-    prepared = prepare(system, rays, wave, terms, system.segments.figure_terms, mirror)
+    figures = system.segments.figure_terms, mirror
+    prepared = prepare(system, light.rays, light.wavelength, light.terms, *figures)
     count, rest = len(states), rest_states(prepared.system, padded(len(states)) - len(states))
-    found = measure(at_field(prepared, system.fields[field]), joined([states, rest]), device)
+    found = measure(at_field(prepared, system.fields[light.field]), joined([states, rest]), device)
     return replace(found, **{name: getattr(found, name)[:count] for name in ARRAYS})
 
 
-def _in_sequence(
-    system: OpticalSystem,
-    states: States,
-    rays: PupilRays,
-    terms: int,
-    field: int,
-    wave: float,
-    device: Device,
-) -> Wavefront:
+def _in_sequence(system: OpticalSystem, states: States, light: _Light, device: Device) -> Wavefront:
     """Trace the light of each segment through the parent of M1 where the segment takes it."""
+    rays, wave = light.rays, light.wavelength
     outer, parent = system.annulus.outer, parent_system(system)
     stop = replace(parent.surfaces[parent.stop], opening=None)  # the glass says where light passes
     parent = with_surface(parent, parent.stop, stop)
-    whole = prepare_system(parent, rays.x / outer, rays.y / outer, rays.weight, terms, field, wave)
+    whole = prepare_system(
+        parent, rays.x / outer, rays.y / outer, rays.weight, light.terms, light.field, wave
+    )
     chief, path = chief_points(whole, incoming_light(whole, states, device))
     shape = len(states), len(rays)
     found = {name: np.full(shape, np.nan) for name in ("path", "x", "y", "u", "v")}
@@ -194,22 +190,16 @@ def _in_sequence(
         own[:, system.segmented] = motion
         glass = replace(parent.surfaces[system.segmented], opening=_glass(system, number))
         one = with_surface(parent, system.segmented, glass)
-        light = replace(whole, system=one, sequence=pack(one, wave))
-        moved = about_chief(light, incoming_light(light, replace(states, surface_motion=own), device), chief)
+        here = replace(whole, system=one, sequence=pack(one, wave))
+        moved = about_chief(here, incoming_light(here, replace(states, surface_motion=own), device), chief)
         part = Rays(whole.rays.position[:, mine], whole.rays.direction[:, mine], whole.rays.path[mine])
-        traced = trace_sequence(light.sequence, part, moved, device)
+        traced = trace_sequence(here.sequence, part, moved, device)
         for name, values in found.items():
             values[:, mine] = getattr(traced, name)
     gap = (found["status"] == VIGNETTED) & (found["surface"] == system.segmented)
     found["status"][gap] = GAP
     opd, traced = path_differences(found["path"], path, wave), TracedRays(**found)  # type: ignore[arg-type]
-    wavefront, weight = analyse_system(whole, opd, traced, chief), whole.fit.weight
-    # The polynomials are not orthogonal on glass with gaps: the plane that fits best is a fit of its own.
-    x, y = whole.pupil.T
-    plane = pupil_fit(x, y, weight, 3, parent.pupil.obscuration)
-    tilt = np.ascontiguousarray(plane.basis[:, 1:3].T), fit_instants(plane, opd, NUMPY)[:, 1:3]
-    flat = ray_moments(opd, traced.x, traced.y, weight, *tilt, NUMPY)
-    return replace(wavefront, rms_flat=flat.rms_flat, pv=flat.pv, strehl=flat.strehl)
+    return analyse_system(whole, opd, traced, chief)
 
 
 def _glass(system: OpticalSystem, number: int) -> Opening:

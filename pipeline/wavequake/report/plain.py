@@ -20,7 +20,7 @@ from rich.text import Text
 from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
 from wavequake.report.answers import budget
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import COLORS, LINES, STYLE, one_panel
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import quantile
@@ -276,8 +276,7 @@ def _histories(dataset: xr.Dataset, groups: dict[str, NDArray[np.bool_]]) -> Ite
 
 @rc_context(STYLE)
 def _history(time_s: Array, values: Array, groups: dict[str, NDArray[np.bool_]], label: str) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     for index, (name, mine) in enumerate(groups.items()):
         there = np.isfinite(values[mine]).any(axis=0)
         if not there.any():
@@ -310,8 +309,7 @@ def _images(dataset: xr.Dataset, groups: dict[str, NDArray[np.bool_]]) -> Iterat
 
 @rc_context(STYLE)
 def _image(image: xr.DataArray) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     x, y = (
         image[dim].to_numpy() if dim in image.coords else np.arange(image.sizes[dim]) for dim in ("x", "y")
     )

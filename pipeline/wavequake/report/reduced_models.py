@@ -7,14 +7,11 @@ import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
+from wavequake.report.figures import COLORS, STYLE, one_panel
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
-
-Array = NDArray[np.float64]
 
 _MARKS = "osD^v<>Pp*"
 
@@ -88,8 +85,7 @@ def pictures(found: Sequence[ModelResult], largest: float) -> Iterator[Picture]:
 @rc_context(STYLE)
 def errors_figure(found: Sequence[ModelResult], largest: float) -> Figure:
     """Draw the errors of every model, a mark for each disturbance."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     models = list(dict.fromkeys(one.model for one in found))
     for index, name in enumerate(dict.fromkeys(one.disturbance for one in found)):
         mine = {one.model: one.share for one in found if one.disturbance == name}

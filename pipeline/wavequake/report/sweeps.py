@@ -17,7 +17,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.store.store import read_manifest
 from wavequake.report import plain
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import COLORS, LINES, STYLE, one_panel
 from wavequake.report.mirrors import swept as variants
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
@@ -167,8 +167,7 @@ def _kinds(dataset: xr.Dataset, name: str, swept: Sequence[str]) -> dict[str, ND
 @rc_context(STYLE)
 def _over(curves: dict[str, NDArray[np.float64]], name: str, label: str) -> Figure:
     """Draw curves of value, 5 % quantile, median and 95 % quantile."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     for index, (kind, curve) in enumerate(curves.items()):
         places, low, middle, high = curve.T
         color, line = COLORS[index % len(COLORS)], LINES[index % len(LINES)]

@@ -1,7 +1,7 @@
 """The campaign's table: one row per disturbance model, for the terminal and for HTML."""
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from wavequake.report.statistics import Jitter, Quantile
 
 MISSING = "–"
+Row = Mapping[str, tuple[str, str]]
 
 _CAPTION = (
     "WFE: rms of a case over its instants; P50 and P95 over cases, in brackets the 95 % "
@@ -77,6 +78,22 @@ def radius(value: float, frame: float, digits: int = 3) -> str:
 def rows(summaries: "Iterable[Summary]") -> list[dict[str, tuple[str, str]]]:
     """Return one dict per disturbance: header with unit -> (value, its uncertainty or remark), all text."""
     return [_row(summary) for summary in summaries]
+
+
+def table_of_rows(rows: Sequence[Row], caption: str, labels: int = 1, small: str = "") -> Table:
+    """Return the table for the terminal of rows of a page, header -> (value, small print).
+
+    The first `labels` columns are words. `small` is how small print stands behind its value, as " ({})"; it
+    is left out otherwise.
+    """
+    table = Table(box=SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 0))
+    for place, header in enumerate(rows[0] if rows else ()):
+        words = place < labels
+        name = header if words else "\n".join(header.rsplit(" ", 1))
+        table.add_column(name, justify="left" if words else "right", overflow="fold", no_wrap=not words)
+    for row in rows:
+        table.add_row(*(value + small.format(print_) if print_ else value for value, print_ in row.values()))
+    return table
 
 
 def rows_of(table: Table) -> list[dict[str, tuple[str, str]]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE
 from wavequake.campaign.statistics.parted import Parted, parted
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, one_panel
 from wavequake.report.page import Picture, picture
 
 Array = NDArray[np.float64]
@@ -84,8 +84,7 @@ def pictures(found: Sequence[PartedResult]) -> Iterator[Picture]:
 @rc_context(STYLE)
 def parts_figure(found: Sequence[PartedResult]) -> Figure:
     """Draw the share of the model in every variance."""
-    figure = Figure(figsize=(WIDTH, 0.25 * HEIGHT + 0.22 * len(found)), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(height=0.25 * HEIGHT + 0.22 * len(found))
     at = np.arange(len(found))
     shares = 100.0 * np.array([one.parts.share for one in found])
     ends = 100.0 * np.array([[one.parts.low, one.parts.high] for one in found])

@@ -1,7 +1,6 @@
 """Histories of one case and their spectra side by side: what moves, and at which frequencies."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -9,12 +8,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.drawing.periodogram import spectrum
-from wavequake.drawing.style import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.drawing.style import HEIGHT, STYLE, WIDTH, curve_style
 from wavequake.drawing.ticks import in_inches, number_powers
 
 Array = NDArray[np.float64]
 
-_NOTHING = 1e-24  # of the largest power: what rounding leaves
+_NOTHING = 1e-16  # of the largest power: what rounding and aiming leave
 _STILL = 0.01  # of the largest value: what changes by less is drawn as still as it is
 
 
@@ -38,11 +37,7 @@ def histories_and_spectra(time: Array, series: Mapping[str, tuple[str, Mapping[s
             for start in (0.0, WIDTH)
         )
         for number, (label, values) in enumerate(curves.items()):
-            style: dict[str, Any] = {
-                "color": COLORS[number % len(COLORS)],
-                "linestyle": LINES[number % len(LINES)],
-                "lw": 1.2,
-            }
+            style = curve_style(number)
             left.plot(time, values, label=label, **style)
             hertz, density = spectrum(time, values)
             seen = density > _NOTHING * max(float(np.max(values**2)), 1e-300)

@@ -13,6 +13,7 @@ from wavequake.mechanics.importers.model import MESHES, READERS
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.optics.media.gradients import medium_index
+from wavequake.optics.rays.aiming import point_name
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, wavelength_of
 from wavequake.optics.zemax.read import read_zmx
@@ -129,15 +130,14 @@ def _of_system(system: OpticalSystem, said: str, name: str) -> str:
         f"[[body]]\nname = {_quoted(label)}\nsurfaces = {_listed(group)}\n\n"
         for label, group in zip(labels, groups, strict=True)
     )
-    fields = "; ".join(str(np.round(point, 6).tolist()) for point in system.fields)
+    fields = "; ".join(point_name(system, point) for point in system.fields)
     stop = system.surfaces[system.stop].name
-    kind = "rad" if np.isinf(system.object_distance) else "mm"
     waves = ", ".join(f"{1e6 * wavelength:.6g}" for wavelength in system.wavelengths)
     every = f"of = {_listed(moving)}" if moving else f"of = {_listed(names[:1])}  # name what moves"
     return f"""# A study of {system.name}, begun by `wavequake new`. Found:
 #   focal length {data.focal_length:.6g} mm, f-number {data.f_number:.4g}, stop {stop}
 #   {len(system.surfaces)} surfaces: {", ".join(names)}
-#   {len(system.fields)} fields ({kind}): {fields}
+#   {len(system.fields)} fields: {fields}
 #   wavelengths (nm): {waves}
 # `wavequake draw` shows it, `wavequake plan` says what running it takes, docs/study.md has all keys.
 [study]
@@ -161,7 +161,7 @@ rms = {{ dx_um = 1.0, dy_um = 1.0, dz_um = 1.0, rx_urad = 10.0, ry_urad = 10.0 }
 name = "vibration"
 model = "surface-vibration"
 {every}
-duration_s = 0.1
+duration_s = 0.05  # long enough for some periods; instants close enough for twice their frequency
 instants = 32
 lines = [{{ frequency_hz = 120.0, amplitude = {{ dx_um = 0.5, dy_um = 0.5, rx_urad = 5.0, ry_urad = 5.0 }} }}]
 

@@ -142,7 +142,13 @@ def override(record: dict[str, Any], key: str, value: Any, model: type[Study]) -
         if homes and not near:
             raise UserError(f"The key {key!r} is unknown; did you mean {homes[0]}.{last}?")
     if not parents:
-        hint = f"did you mean {homes[0]}.{key}?" if homes else "write section.key=value."
+        places = {
+            one: name
+            for name, field in reversed(model.model_fields.items())
+            for one in getattr(field.annotation, "model_fields", ())
+        }
+        near = difflib.get_close_matches(key, places, n=1, cutoff=0.75)
+        hint = f"did you mean {places[near[0]]}.{near[0]}?" if near else "write section.key=value."
         raise UserError(f"The key {key!r} has no section; {hint}")
     for depth, part in enumerate(parents):
         if isinstance(node, list):

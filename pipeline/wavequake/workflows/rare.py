@@ -57,7 +57,10 @@ def rare_study(
         a probability is given; or for a wrong key.
     """
     if not isinstance(study, SegmentStudy) or study.study.workflow != "segment-disturbance":
-        raise UserError(f"Rare events are of segment-disturbance studies, not of {study.study.workflow}.")
+        raise UserError(
+            f"Rare events are of segment-disturbance studies, not of {study.study.workflow}: run it and ask "
+            "`wavequake tail` of its store."
+        )
     study.require_one_place("Rare events are")
     own = study.rare
     traces = traces or (study.cases if own else TRACES)

@@ -80,21 +80,23 @@ def write_dataset(made: "Arrays | xr.Dataset", target: Path) -> None:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-def read_dataset(target: Path, expected: int) -> "xr.Dataset":
+def read_dataset(target: Path, expected: int, absent: str = "") -> "xr.Dataset":
     """Read what :func:`write_dataset` wrote, as :func:`read_arrays` does."""
-    return read_arrays(target, expected).dataset()
+    return read_arrays(target, expected, absent).dataset()
 
 
-def read_arrays(target: Path, expected: int) -> Arrays:
+def read_arrays(target: Path, expected: int, absent: str = "") -> Arrays:
     """Read what :func:`write_dataset` wrote with the attribute ``schema``.
 
     Raises
     ------
     UserError
-        If it is of another schema than `expected`.
+        If it is of another schema than `expected`; or not there, and `absent` says what to do then.
     StoreDamageError
         If it cannot be read.
     """
+    if absent and not target.exists():
+        raise UserError(absent)
     try:
         with arrays.damage_explained(target):
             found = _read(target)

@@ -1,13 +1,13 @@
 """What sensors, actuators and controllers offer, and their registries: one file adds a kind of one."""
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from wavequake.campaign.schema import Section
 from wavequake.chain.loops.answers import OwnModes
@@ -26,6 +26,27 @@ Varied = Annotated[tuple[float | str, ...], Field(strict=False)]
 _NAMED = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
 
+def zero_or_more(least: float) -> Callable[[float], float]:
+    """Return what refuses numbers between 0 and the least one that means something."""
+
+    def check(value: float) -> float:
+        if 0 < value < least:
+            raise ValueError(f"it is {value:g}; give 0, or {least:g} or more")
+        return value
+
+    return check
+
+
+Photons = Annotated[float, Field(ge=0, le=1e18), AfterValidator(zero_or_more(1e-3))]
+
+
+def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return names, of which none is there twice."""
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ValueError(f"{twice!r} is named twice")
+    return names
+
+
 class Sensor(Section):
     """A sensor that averages over its frames; a study file names it by the default of its field ``model``."""
 
@@ -35,15 +56,17 @@ class Sensor(Section):
     name: str = Field(pattern=_NAMED, description="also names its random numbers")
     rate_hz: float = Field(default=1000.0, gt=0, le=1e5, description="frames per second")
     integration: float = Field(
-        default=1.0, gt=0, le=1, description="last share of a frame over which it averages"
+        default=1.0, ge=1e-4, le=1, description="last share of a frame over which it averages"
     )
     noise: float = Field(
         default=0.0, ge=0, le=1e12, description="rms of each reading, per frame, in its unit"
     )
     noise_density: float = Field(
-        default=0.0, ge=0, description="one-sided, in its unit per root of Hz, beside `noise`"
+        default=0.0, ge=0, le=1e12, description="one-sided, in its unit per root of Hz, beside `noise`"
     )
-    quantum: float = Field(default=0.0, ge=0, description="step to which readings are rounded; 0: none")
+    quantum: Annotated[float, AfterValidator(zero_or_more(1e-15))] = Field(
+        default=0.0, ge=0, le=1e12, description="step to which readings are rounded; 0: none"
+    )
     bandwidth_hz: float | None = Field(
         default=None,
         ge=1e-3,
@@ -83,10 +106,10 @@ class Sensor(Section):
 class Centroids(Section):
     """What makes the noise of a centroid; without photons it has none."""
 
-    photons: float = Field(default=0.0, ge=0, description="in a spot, per frame; 0: photons make no noise")
+    photons: Photons = Field(default=0.0, description="in a spot, per frame; 0: photons make no noise")
     read_noise: float = Field(default=0.0, ge=0, le=1e6, description="electrons rms per pixel")
-    spot_mas: float = Field(default=20.0, gt=0, description="rms width of the spot along one axis")
-    pixel_mas: float = Field(default=20.0, gt=0)
+    spot_mas: float = Field(default=20.0, gt=0, le=1e9, description="rms width of the spot along one axis")
+    pixel_mas: float = Field(default=20.0, gt=0, le=1e9)
     pixels: int = Field(default=8, ge=2, le=64, description="along one side of the window")
 
     def centroid_rms(self) -> float:
@@ -237,6 +260,11 @@ class Controller(Section):
                 key, why = error.errors()[0]["loc"][0], error.errors()[0]["msg"]
                 raise ValueError(f"the controller {own['name']!r}: {key}: {why}") from None
         return tuple(found)
+
+    @property
+    def asks_modes(self) -> bool:
+        """Whether it takes the modes of bodies as disturbances shake them, which are drawn for it."""
+        return False
 
     def notices(self, asked: Design) -> Iterator[str]:
         """Yield what the user should know of its design before a run; by default nothing."""

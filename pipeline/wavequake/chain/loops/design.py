@@ -1,5 +1,6 @@
 """What controllers are designed for: sensors, actuator and timing, and the structure that carries them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,11 +21,33 @@ _NAMED = 4
 
 @dataclass(frozen=True)
 class Shaken:
-    """Modes of a structure that white forces shake: name, frequency (Hz) and damping ratio."""
+    """Modes of a structure that white forces shake.
+
+    Attributes
+    ----------
+    names : tuple of str
+    hertz, zeta : ndarray, shape (M,)
+        Frequencies and damping ratios.
+    seen : ndarray, shape (K, M)
+        Rms of all that is seen of each.
+    """
 
     names: tuple[str, ...]
     hertz: Array
     zeta: Array
+    seen: Array
+
+
+def all_shaken(parts: Sequence[Shaken]) -> Shaken | None:
+    """Return the modes of several structures as those of one; None: there are none."""
+    if not parts:
+        return None
+    return Shaken(
+        tuple(name for one in parts for name in one.names),
+        np.concatenate([one.hertz for one in parts]),
+        np.concatenate([one.zeta for one in parts]),
+        np.hstack([one.seen for one in parts]),
+    )
 
 
 @dataclass(frozen=True)
@@ -147,12 +170,13 @@ def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> 
     where = f"controller.{asked.controller}: the sensor {asked.sensor!r}"
     if not (rates or asked.sees_positions):
         raise UserError(f"{where} does not see where things stand; take lqg, lqr, state-space or a function.")
-    if not sizes.all():
-        channel = asked.channels[int(np.flatnonzero(sizes == 0)[0])]
+    if not sizes.any():
+        channel = asked.channels[0]
         raise UserError(
             f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all, not at 0 Hz, where "
             "it stands, either; take a sensor that does, or leave the channel out."
         )
+    sizes = np.where(sizes > 0.0, sizes, 1.0)  # what is not seen stays so in any unit
     left, values, right = np.linalg.svd(asked.sees / sizes, full_matrices=False)
     count = len(sizes)
     rank = int((values > _APART * values[0]).sum())

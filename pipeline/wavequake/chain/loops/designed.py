@@ -13,7 +13,6 @@ from wavequake.chain.loops.blocks import LoopBlocks
 from wavequake.chain.loops.closing import Given
 from wavequake.chain.loops.design import Design, Shaken, Watch
 from wavequake.chain.loops.light import Light
-from wavequake.chain.loops.structure import Carrying
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import Timing
 from wavequake.control.sampled.readings import Streamed
@@ -21,6 +20,9 @@ from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
 from wavequake.control.sampled.run import Actuator as Moved
 from wavequake.control.sampled.run import Eye, Loop, Schedule, frame_count, schedule
 from wavequake.errors import UserError
+
+# Of all that a motion shows, what a sensor sees of it by errors of derivatives alone.
+_ROUNDING = 1e-5
 
 
 class Sighted(Protocol):
@@ -31,9 +33,10 @@ class Sighted(Protocol):
     light : Light
     sights : mapping of str to ndarray, shape (K, p)
         Of all K things that are seen, per position of each actuator, by name.
-    structure : Carrying or None
+    shaken : Shaken or None
+        Modes that controllers may expect.
     answers : sequence of Answer
-        Modes that answer actuators, those of the structure first.
+        Modes that answer actuators.
     """
 
     @property
@@ -41,7 +44,7 @@ class Sighted(Protocol):
     @property
     def sights(self) -> Mapping[str, Array]: ...  # noqa: D102
     @property
-    def structure(self) -> Carrying | None: ...  # noqa: D102
+    def shaken(self) -> Shaken | None: ...  # noqa: D102
     @property
     def answers(self) -> Sequence[Answer]: ...  # noqa: D102
 
@@ -102,27 +105,24 @@ def designed(study: LoopBlocks, optics: Sighted, one: Controller) -> Given:
 
 def asked_of(study: LoopBlocks, optics: Sighted, one: Controller) -> Design:
     """Return what a controller with sensors and actuator is designed for."""
-    actuator, structure = study.part("actuator", one.actuator), optics.structure
+    actuator, modes = study.part("actuator", one.actuator), optics.shaken
     channels, timing = actuator.channels(optics.light), timing_of(study, one)
     answers = answering(optics.answers, [actuator.name])
     shown = shown_of(answers, len(optics.light))
-    shaken, modes = np.zeros((len(optics.light), 0)), None
-    if structure is not None:
-        kept = np.flatnonzero(structure.rms)
-        shaken = optics.answers[0].shown[:, kept] * structure.rms[kept]
-        names = tuple(structure.names[k] for k in kept)
-        modes = Shaken(names, structure.hertz[kept], structure.zeta[kept])
+    shaken = np.zeros((len(optics.light), 0)) if modes is None else modes.seen
     watched = []
+    sight, optical = optics.sights[actuator.name], optics.light.optical
     for sensor in study.sensors(one):
         readings, noise = sensor.readings(optics.light, nominal=True), sensor.noise_rms(optics.light)
+        rows = slice(optical) if sensor.sees == "light" else slice(optical, None)
         watched.append(
             Watch(
                 sensor.name,
                 sensor.labels(optics.light),
-                readings @ optics.sights[actuator.name],
+                _beyond_rounding(readings, sight, rows),
                 noise / np.sqrt(timing.frames),
                 sensor.dynamics(),
-                readings @ shaken,
+                _beyond_rounding(readings, shaken, rows),
                 readings @ shown,
             )
         )
@@ -137,6 +137,17 @@ def asked_of(study: LoopBlocks, optics: Sighted, one: Controller) -> Design:
         dynamics_of(answers),
         drives_of(answers, actuator.name, len(channels)),
     )
+
+
+def _beyond_rounding(readings: Array, shown: Array, rows: slice) -> Array:
+    """Return readings (m, K) of what motions show (K, p), of those that show no more than rounding none.
+
+    M2 along its axis moves the wavefront; its line of sight then is what derivatives of that are off. `rows`
+    are what such a sensor can see: light, or bodies.
+    """
+    found, most = readings @ shown, np.abs(readings).max(initial=0.0)
+    sizes, largest = (np.abs(one).max(axis=0, initial=0.0) for one in (found, shown[rows]))
+    return np.where(sizes > _ROUNDING * most * largest, found, 0.0)
 
 
 def designs_of(study: LoopBlocks, optics: Sighted) -> dict[str, Given]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from wavequake.campaign.schema import Section
 from wavequake.optics.polynomials.zernike import annular_zernike_gradient
@@ -18,8 +18,20 @@ class Placed(Section):
     shift: tuple[float, float] = Field(
         default=(0.0, 0.0), strict=False, description="of the sensor along x and y, in radii of the pupil"
     )
-    rotation_deg: float = Field(default=0.0, description="of the sensor, from x to y")
-    magnification: float = Field(default=1.0, gt=0, description="of the sensor's grid over the pupil")
+    rotation_deg: float = Field(default=0.0, ge=-360, le=360, description="of the sensor, from x to y")
+    magnification: float = Field(
+        default=1.0, ge=0.1, le=10, description="of the sensor's grid over the pupil"
+    )
+
+    @field_validator("shift")
+    @classmethod
+    def _sees_the_pupil(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if np.hypot(*value) > 1.0:
+            raise ValueError(
+                f"it is {value[0]:g}, {value[1]:g} radii, so that the sensor stands beside the pupil; shift "
+                "it by 1 or less"
+            )
+        return value
 
 
 @dataclass(frozen=True)

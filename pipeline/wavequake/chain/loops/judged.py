@@ -61,7 +61,7 @@ def judged_loops(
     controllers = tuple(assembled(study, optics, one, designs, looks) for one in study.controller)
     for one in controllers:
         refuse_unstable_together(study, one)
-    if any(one.stroke is not None for one in study.actuator):
+    if any(one.stroke is not None or one.slew is not None for one in study.actuator):
         first = {entry.name: seen(index) for index, entry in enumerate(populations) if entry.share}
         refuse_saturated(study, optics, first)
     return controllers, linear
@@ -120,7 +120,9 @@ def carrier(study: LoopBlocks, name: str, loop: SampledLoop, optics: Sighted) ->
         left = np.flatnonzero([one != name for one in names])
         modes = tuple(loop.structure[place] for place in left)
         without = replace(loop, structure=modes, drives=drives[left], shown=shown[:, left])
-        hertz = np.sqrt(np.linalg.det(loop.structure[names.index(name)].a)) / (2 * np.pi)
+        mode = loop.structure[names.index(name)]
+        # What floats follows at once: nothing moves its states.
+        hertz = np.sqrt(np.linalg.det(mode.a)) / (2 * np.pi) if mode.b.any() else 0.0
         found.append((worst_pole(without).growth, f"{name!r} ({hertz:.4g} Hz)"))
     return min(found)[1]
 
@@ -170,7 +172,7 @@ def growing(study: LoopBlocks, name: str, worst: Worst, optics: Sighted) -> str:
 
 
 def refuse_saturated(study: LoopBlocks, optics: Sighted, seen: Mapping[str, tuple[Array, Array]]) -> None:
-    """Raise UserError if what an actuator would have to do is beyond its stroke most of the time.
+    """Raise UserError if what an actuator would have to do is beyond its stroke or slew most of the time.
 
     It is judged by a correction without delay or error of what is seen (n, K) at instants (n,) of the first
     case of each disturbance, by name.
@@ -178,19 +180,23 @@ def refuse_saturated(study: LoopBlocks, optics: Sighted, seen: Mapping[str, tupl
     pairs = dict.fromkeys((one.sensor, one.actuator) for one in study.controller if one.sensor)
     for sensor, actuator in pairs:
         one = study.part("actuator", actuator)
-        if one.stroke is None or study.part("sensor", sensor).dynamics().static_gain < 0.5:
+        limits = ((one.stroke, "stroke", ""), (one.slew, "slew", " per second"))
+        if study.part("sensor", sensor).dynamics().static_gain < 0.5:
             continue
         matrix = study.part("sensor", sensor).readings(optics.light, nominal=True)
         wants = -np.linalg.pinv(matrix @ optics.sights[actuator], rcond=_SEEN) @ matrix
         for name, (time, values) in seen.items():
             asks = values @ wants.T
-            often = np.median(np.abs(asks), axis=0)
-            if (often > one.stroke).any():
+            rates = np.diff(asks, axis=0) / np.diff(time)[:, None]
+            for moved, (limit, key, unit) in zip((asks, rates), limits, strict=True):
+                often = np.median(np.abs(moved), axis=0)
+                if limit is None or (often <= limit).all():
+                    continue
                 most = int(often.argmax())
                 channel, when = one.channels(optics.light)[most], strongest(time, asks[:, most])
                 raise UserError(
                     f"actuator.{actuator} is saturated from the start: {name!r} asks {channel} for "
-                    f"{often.max():.3g} half of the time ({when}), but its stroke is {one.stroke:g}."
+                    f"{often.max():.3g}{unit} half of the time ({when}), but its {key} is {limit:g}."
                 )
 
 

@@ -11,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from scipy.linalg import expm
 
 from wavequake.campaign.schema import Section
+from wavequake.chain.loops.design import Shaken
 from wavequake.control.sampled.channel import Dynamics, recoil
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.layout import SegmentLayout
@@ -140,6 +141,12 @@ class Carrying:
     def dynamics(self) -> tuple[Dynamics, ...]:
         """How each mode answers what moves along it."""
         return tuple(recoil(hertz, zeta) for hertz, zeta in zip(self.hertz, self.zeta, strict=True))
+
+    def expected(self, shown: Array) -> Shaken:
+        """Return those that are shaken, by what is seen (N, K) per nm of all."""
+        kept = np.flatnonzero(self.rms)
+        names = tuple(self.names[k] for k in kept)
+        return Shaken(names, self.hertz[kept], self.zeta[kept], shown[:, kept] * self.rms[kept])
 
     def put(self, states: States, positions: Array) -> None:
         """Add positions of the modes (batch, K) to the first instants of a telescope's states."""

@@ -20,7 +20,6 @@ _RECORD_BYTES = 2048
 _LONGEST_ADDRESS = 1 << 47
 # The newest that LLVM 14 knows come first; instructions as Linux names them.
 _HASWELL = frozenset(["avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"])
-_ZEN3 = frozenset(["adx", "aes", "clflushopt", "clzero", "pclmulqdq", "rdseed", "sha_ni", "sse4a", "vaes"])
 _PROCESSORS = (
     (
         "znver3",

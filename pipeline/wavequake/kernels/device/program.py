@@ -268,10 +268,10 @@ def _kernel(
         warnings.simplefilter("ignore", cl.CompilerWarning)
         try:
             made = _from_binary if on_pocl else _from_source
-            program = made(device, text, options)
-        except Exception:  # a cache holds what this driver does not take: another version's or processor's
-            program = cl.Program(_context(device), text).build(options, cache_dir=False)
-    kernel = cl.Kernel(program, name)
+            kernel = cl.Kernel(made(device, text, options), name)
+        except Exception:  # a cache holds what this driver does not take: another version's, or damaged
+            anew = [*options, "-DBUILT_ANEW"]  # the driver's own cache goes by source and options
+            kernel = cl.Kernel(cl.Program(_context(device), text).build(anew, cache_dir=False), name)
     kernel.set_scalar_arg_dtypes(types)
     return kernel
 
@@ -292,8 +292,9 @@ def _from_binary(device: Device, text: str, options: list[str]) -> Any:
     import pyopencl as cl
 
     def binary() -> _Binary:
-        found = _from_source(device, text, options).get_info(cl.program_info.BINARIES)
-        return _Binary(np.frombuffer(found[0], np.uint8))
+        program = _from_source(device, text, options)
+        program.all_kernels()  # raises where the driver has taken damaged ones from its cache: not to be kept
+        return _Binary(np.frombuffer(program.get_info(cl.program_info.BINARIES)[0], np.uint8))
 
     handle = opencl_handle(device)
     driver = handle.name, handle.version, handle.driver_version, known_processor()

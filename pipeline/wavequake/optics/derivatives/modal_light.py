@@ -17,7 +17,7 @@ from wavequake.kernels.device.devices import Device
 from wavequake.optics.derivatives.central import FAINT, SIGNS, central, checked_derivative
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import States
-from wavequake.optics.wavefronts.fits import fit_instants
+from wavequake.optics.wavefronts.fits import fit_with_plane
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, line_of_sight, trace_system
 
@@ -89,12 +89,12 @@ def modal_light(prepared: PreparedSystem, device: Device, motions: Motions) -> M
     waves = np.concatenate([opd[:1], slope])
     points = [np.concatenate([one[:1], _slopes(one, motions.steps)]) for one in (x, y)]
     toward = np.concatenate([chief[:1], _slopes(chief, motions.steps)])
-    zernike = fit_instants(prepared.fit, waves)
+    zernike, slopes = fit_with_plane(prepared.fit, waves)
     sight = line_of_sight(prepared, toward, zernike)
     weight = _normed(prepared.fit.weight, arrives)
     inside = [one[:, arrives] for one in (waves, *points)]
     centroid = np.stack([one @ weight for one in inside[1:]], axis=1)
-    plane = zernike[:, 1:3] @ prepared.fit.basis[arrives, 1:3].T
+    plane = slopes @ prepared.fit.basis[arrives, 1:3].T
     return ModalLight(
         columns=np.hstack([zernike, toward, sight, centroid]),
         raw=_root(weight, inside[0]),

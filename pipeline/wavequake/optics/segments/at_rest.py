@@ -16,8 +16,6 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.record import ARRAYS, Wavefront
 from wavequake.tables import kept
 
-Array = NDArray[np.float64]
-
 STEP = 1e-6
 """By which M2 turns, rad."""
 

@@ -23,6 +23,7 @@ from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_o
 Array = NDArray[np.float64]
 
 _ARCMIN = 180.0 * 60.0 / np.pi
+_WIDE = np.deg2rad(1.0)  # fields from which angles are told in degrees
 _SAME = 0.01  # relative difference up to which an aperture is called the same
 _OBLIQUE = np.deg2rad(1.0)  # incidence from which powers along and across differ by 3e-4
 _FIRST_DARK_RING = 3.8317059702075123 / np.pi  # first zero of J1: 1.22 wavelength times f-number
@@ -145,8 +146,11 @@ def _pupil(position: float, diameter: float, origin: str) -> str:
 
 def _fields(system: OpticalSystem) -> Iterable[str]:
     far = not isfinite(system.object_distance)
+    wide = np.abs(system.fields).max(initial=0.0) >= _WIDE
     for x, y in system.fields:
-        if far:
+        if far and wide:  # as in tables
+            yield f"({np.rad2deg(x) + 0.0:.5g}, {np.rad2deg(y) + 0.0:.5g}) deg"
+        elif far:
             yield f"({_number(x * _ARCMIN)}, {_number(y * _ARCMIN)}) arcmin"
         else:
             yield f"({_number(x)}, {_number(y)}) mm"

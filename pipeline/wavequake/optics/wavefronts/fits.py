@@ -178,21 +178,63 @@ def refit(fit: Fit, kept: Mask, values: Array) -> Array:
     ndarray, shape (J,)
         NaN if the rays that are left do not determine the coefficients.
     """
+    return _refit(fit, kept, values)[0]
+
+
+def _refit(fit: Fit, kept: Mask, values: Array) -> tuple[Array, Array]:
+    """Return as `refit` does, and the normal matrix (J, J) of the rays that are left."""
     gone = fit.basis[~kept]
     normal = fit.normal - gone.T @ (fit.weight[~kept, None] * gone)
     if np.linalg.eigvalsh(normal)[0] < _SINGULAR * np.trace(fit.normal):
-        return np.full(len(normal), np.nan)
-    return np.asarray(np.linalg.solve(normal, fit.basis.T @ (fit.weight * values)), dtype=np.float64)
+        return np.full(len(normal), np.nan), normal
+    found = np.linalg.solve(normal, fit.basis.T @ (fit.weight * values))
+    return np.asarray(found, dtype=np.float64), normal
 
 
 def fit_instants(fit: Fit, values: Array, device: Device = NUMPY) -> Array:
     """Return coefficients (T, J) of values (T, N); lost rays (NaN) are left out of an instant's fit."""
+    return _fit_instants(fit, values, device)[0]
+
+
+def fit_with_plane(fit: Fit, values: Array, device: Device = NUMPY) -> tuple[Array, Array]:
+    """Return coefficients (T, J), and those (T, 2) of j = 2 and 3 where the plane is fitted by itself.
+
+    Polynomials are not orthogonal at rays: the best plane is another one than that of a fit of more terms.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of Noll Zernike polynomials, of which the first three are the plane.
+    values : ndarray, shape (T, N)
+        Lost rays (NaN) are left out of an instant's fit.
+    device : Device
+    """
+    coefficients, normals = _fit_instants(fit, values, device)
+    plane = _plane(fit.normal, coefficients)
+    for instant, normal in normals.items():  # NaN stays what too few rays do not determine
+        plane[instant] = _plane(normal, coefficients[instant])
+    return coefficients, plane
+
+
+def _plane(normal: Array, coefficients: Array) -> Array:
+    """Return the slopes (..., 2) of the best plane, which takes a part of the other coefficients (..., J)."""
+    others = np.linalg.solve(normal[:3, :3], normal[:3, 3:])[1:]
+    # A sum of each instant by itself, whose bits do not depend on the others.
+    slopes: Array = coefficients[..., 1:3] + np.sum(coefficients[..., None, 3:] * others, axis=-1)
+    return slopes
+
+
+def _fit_instants(fit: Fit, values: Array, device: Device) -> tuple[Array, dict[int, Array]]:
+    """Return coefficients (T, J), and the normal matrices of instants that lost rays but not too many."""
     coefficients, lost = ray_coefficients(fit.matrix, values, device)
+    normals = {}
     for instant in np.flatnonzero(lost):
         at_rays = values[instant]  # which may lie on a device
         ok = np.isfinite(at_rays)
-        coefficients[instant] = refit(fit, ok, np.where(ok, at_rays, 0.0))
-    return coefficients
+        coefficients[instant], normal = _refit(fit, ok, np.where(ok, at_rays, 0.0))
+        if np.isfinite(coefficients[instant, 0]):
+            normals[int(instant)] = normal
+    return coefficients, normals
 
 
 def fit_tile(fit: Fit, values: Array, ok: Mask) -> Array:

@@ -32,7 +32,7 @@ from wavequake.optics.systems.image_aperture import image_cosines, image_index, 
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, States, wavelength_of
-from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
+from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants, fit_with_plane, pupil_fit
 from wavequake.optics.wavefronts.record import Wavefront, joined
 from wavequake.optics.wavefronts.reference_sphere import sphere_radius
 from wavequake.optics.wavefronts.slopes import (
@@ -335,9 +335,9 @@ def analyse_system(
         tilt = fit_instants(prepared.sphere, opd, device)[:, 1:3]
         opd = without_planes(opd, np.ascontiguousarray(prepared.sphere.basis[:, 1:3].T), tilt)
         point = chief + tilt * (prepared.wavelength / prepared.image_index / _aperture(prepared))
-    zernike = fit_instants(prepared.fit, opd, device)
+    zernike, plane = fit_with_plane(prepared.fit, opd, device)
     slopes = np.ascontiguousarray(prepared.fit.basis[:, 1:3].T)
-    found = ray_moments(opd, traced.x, traced.y, weight, slopes, zernike[:, 1:3], device)
+    found = ray_moments(opd, traced.x, traced.y, weight, slopes, plane, device)
     if prepared.slopes is not None:
         zernike = slope_coefficients(prepared.slopes, traced, chief)
     return Wavefront(

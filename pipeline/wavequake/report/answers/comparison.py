@@ -25,7 +25,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.campaign.statistics.blocks import few_at_once
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.report.figures import STYLE
+from wavequake.report.figures import STYLE, one_panel
 from wavequake.report.table import difference, number
 
 CONFIDENCE = 0.95
@@ -341,8 +341,7 @@ def comparison_figure(names: Sequence[str], comparisons: Sequence[Sequence[Diffe
         if one.first and np.isfinite(one.first)
     ]
     lines = list(dict.fromkeys(label for label, *_ in shown))
-    figure = Figure(figsize=(7.0, 1.2 + 0.24 * max(1, len(lines))), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(7.0, 1.2 + 0.24 * max(1, len(lines)))
     axes.axvline(0.0, color="#444444", linewidth=0.7)
     for store, name in enumerate(names[1:]):
         mine = [entry for entry in shown if entry[3] == store]
@@ -359,6 +358,7 @@ def comparison_figure(names: Sequence[str], comparisons: Sequence[Sequence[Diffe
     axes.invert_yaxis()
     words = "median and each variant" if any(c.variants for part in comparisons for c in part) else None
     axes.set_xlabel(f"difference from {names[0]} (%), {words or '95 % confidence'}")
+    axes.set_title(f"{names[1] if len(names) == 2 else 'Stores'} compared with {names[0]}")
     axes.legend(loc="best")
     return figure
 

@@ -37,7 +37,7 @@ def lines_table(found: Identified) -> Table:
         table.add_column(header, justify="right")
     few = len(channels) <= _MOST_COLUMNS
     for one in channels if few else ():
-        table.add_column(f"{one.element}.{one.axis} ({one.unit})", justify="right")
+        table.add_column(f"{one.element}.{one.axis} ({one.unit})", justify="right", overflow="fold")
     if not few:
         table.add_column("rms", justify="right")
     if channels and len(channels) == 2 and [one.axis for one in channels] == ["x", "y"]:

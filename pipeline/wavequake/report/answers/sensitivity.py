@@ -47,25 +47,50 @@ def tables(found: Arrays) -> Iterator[Table]:
 
 def surface_table(found: Arrays) -> Table:
     """Return the table of M1 as a whole and the surfaces after it: line of sight, largest Zernike terms."""
-    table = Table(
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-        title="Surfaces: motion about the vertex, along and about the surface's own axes",
-        title_justify="left",
+    los = _rigid_zeroed(found["sensitivity_los_surface"].values * _PER_MILLIMETER[:, None], _NO_LOS)
+    zernike = _rigid_zeroed(found["sensitivity_zernike_surface"].values[..., 3:] * 1e-6, _NO_WFE)
+    return _table_by_element(
+        "Surfaces: motion about the vertex, along and about the surface's own axes",
+        ("surface\nmotion", "mm per mm or rad", "nm per µm or µrad"),
+        (found["surface"].values, DOFS),
+        (los, zernike),
     )
-    table.add_column("surface\nmotion")
+
+
+def mirror_table(found: Arrays) -> Table:
+    """Return the table of the figures of the mirrors after M1, one row per term."""
+    return _table_by_element(
+        "Figures of mirrors over the axial beam's footprint, heights along z of the surface",
+        ("mirror\nfigure", "mm per mm", "nm per nm"),
+        (found["mirror"].values, [f"Z{j}" for j in found["mirror_term"].values]),
+        (
+            _zeroed(found["sensitivity_los_mirror"].values * 1e-3),
+            _zeroed(found["sensitivity_zernike_mirror"].values[..., 3:] * 1e-9),
+        ),
+    )
+
+
+def _table_by_element(
+    title: str,
+    words: tuple[str, str, str],
+    rows: tuple[Sequence[str], Sequence[str]],
+    values: tuple[Array, Array],
+) -> Table:
+    """Return line of sight (element, motion, 2) and terms j >= 4 of every motion of elements.
+
+    `words` are the header of both and the units of the others.
+    """
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left")
+    table.add_column(words[0])
     for axis in "xy":
-        table.add_column(f"LOS {axis}\nmm per mm or rad", justify="right", no_wrap=True)
-    table.add_column("largest Zernike terms from j = 4 on\nnm per µm or µrad")
-    los = found["sensitivity_los_surface"].values * _PER_MILLIMETER[:, None]
-    zernike = found["sensitivity_zernike_surface"].values[..., 3:] * 1e-6
-    los, zernike = _rigid_zeroed(los, _NO_LOS), _rigid_zeroed(zernike, _NO_WFE)
-    for index, name in enumerate(found["surface"].values):
-        for dof, motion in enumerate(DOFS):
-            label = f"[bold]{name}[/]  {motion}" if dof == 0 else f"{' ' * len(str(name))}  {motion}"
-            words = ", ".join(_term(j, value) for j, value in _largest(zernike[index, dof]))
-            cells = [number(value, 5) for value in los[index, dof]]
-            table.add_row(label, *cells, words or MISSING, end_section=dof == len(DOFS) - 1)
+        table.add_column(f"LOS {axis}\n{words[1]}", justify="right", no_wrap=True)
+    table.add_column(f"largest Zernike terms from j = 4 on\n{words[2]}")
+    for name, los, zernike in zip(rows[0], *values, strict=True):
+        for place, motion in enumerate(rows[1]):
+            label = f"{' ' * len(str(name))}  {motion}" if place else f"[bold]{name}[/]  {motion}"
+            terms = ", ".join(_term(j, value) for j, value in _largest(zernike[place]))
+            cells = [number(value, 5) for value in los[place]]
+            table.add_row(label, *cells, terms or MISSING, end_section=place == len(rows[1]) - 1)
     return table
 
 
@@ -118,30 +143,6 @@ def segment_table(found: Arrays) -> Table:
         columns = [_zeroed(values) for values in (los, fitted, raw)]
         for index, j in enumerate(found["term"].values):
             table.add_row(f"figure Z{j}", *(_spread(values[:, index]) for values in columns))
-    return table
-
-
-def mirror_table(found: Arrays) -> Table:
-    """Return the table of the figures of the mirrors after M1, one row per term."""
-    table = Table(
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-        title="Figures of mirrors over the axial beam's footprint, heights along z of the surface",
-        title_justify="left",
-    )
-    table.add_column("mirror\nfigure")
-    for axis in "xy":
-        table.add_column(f"LOS {axis}\nmm per mm", justify="right", no_wrap=True)
-    table.add_column("largest Zernike terms from j = 4 on\nnm per nm")
-    los = _zeroed(found["sensitivity_los_mirror"].values * 1e-3)
-    zernike = _zeroed(found["sensitivity_zernike_mirror"].values[..., 3:] * 1e-9)
-    for index, name in enumerate(found["mirror"].values):
-        for row, j in enumerate(found["mirror_term"].values):
-            label = f"[bold]{name}[/]  Z{j}" if row == 0 else f"{' ' * len(str(name))}  Z{j}"
-            words = ", ".join(_term(k, value) for k, value in _largest(zernike[index, row]))
-            cells = [number(value, 5) for value in los[index, row]]
-            last = row == len(found["mirror_term"].values) - 1
-            table.add_row(label, *cells, words or MISSING, end_section=last)
     return table
 
 

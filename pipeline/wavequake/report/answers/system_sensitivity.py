@@ -40,7 +40,7 @@ def _table(found: Arrays, name: str) -> Table:
         title=f"{_TITLES[name]}\nLOS in mm per mm{units[0]}; WFE rms, j ≥ 4, in nm per {units[1]}",
         title_justify="left",
     )
-    table.add_column(f"{element}\n{'motion' if turning else 'figure'}")
+    table.add_column(f"{element}\n{'motion' if turning else 'figure'}", no_wrap=True)
     for axis in "xy":
         table.add_column(f"LOS {axis}\n{fields[0]}", justify="right", no_wrap=True)
     for field in fields:
@@ -55,7 +55,7 @@ def _table(found: Arrays, name: str) -> Table:
         for index, dof in enumerate(labels):
             if not (los[:, row, index].any() or rms[:, row, index].any()):
                 continue
-            cells = [number(float(value), 5) for value in los[0, row, index]]
+            cells = [number(float(value), 4) for value in los[0, row, index]]
             cells += [number(float(value), 4) for value in rms[:, row, index]]
             motion = dof if turning else f"Z{dof}"
             table.add_row(f"{head}  {motion}", *cells, _largest(waves[-1, row, index]))

@@ -53,7 +53,10 @@ def target_of(path: str | Path, overwrite: bool = False) -> Path:
     """Return the file to export to; raises UserError as :func:`export`, without reading any number."""
     target = Path(path)
     if target.suffix not in _WRITERS:
-        raise UserError(f"{target} must end in .nc, .fits or .csv, which says what to export to.")
+        raise UserError(
+            f"{target} must end in .nc, .fits or .csv, or, with --case, in .zmx or .txt, "
+            "which says what to export to."
+        )
     if target.suffix == ".fits" and find_spec("astropy") is None:
         raise UserError("FITS files need Astropy: pip install astropy.")
     if target.is_dir() or not target.parent.is_dir():

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel
 
 Array = NDArray[np.float64]
 
@@ -39,13 +38,13 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     rows = -(-len(panels) // columns)
     square = (WIDTH - 1.6) / columns  # inches, beside numbers and scale
     figure = Figure(figsize=(WIDTH, min(HEIGHT, square) * rows + 0.3 * rows + 0.4), layout="compressed")
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(rows, columns, squeeze=False)
     places = grid.ravel()
     top = max(float(panel.image.max()) for panel in panels)
     half = 0.5 * (axis[1] - axis[0])
     extent = (axis[0] - half, axis[-1] + half, axis[0] - half, axis[-1] + half)
     picture = None
-    for place, panel in zip(places, panels, strict=False):
+    for number, (place, panel) in enumerate(zip(places, panels, strict=False)):
         floor = 10.0**-_DECADES * top
         picture = place.imshow(
             np.maximum(panel.image, floor), norm=LogNorm(floor, top), origin="lower", extent=extent
@@ -55,15 +54,15 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
         place.set_xlim(*extent[:2])
         place.set_ylim(*extent[2:])
         place.set_title(panel.title, fontsize=8)
+        lowest, leftmost = number + columns >= len(panels), number % columns == 0
+        place.tick_params(labelbottom=lowest, labelleft=leftmost)
+        place.set(xlabel="x (λ/D)" if lowest else "", ylabel="y (λ/D)" if leftmost else "")
     for place in places[len(panels) :]:
         place.set_visible(False)
-    for place in grid[-1]:
-        place.set_xlabel("x (λ/D)")
-    for place in grid[:, 0]:
-        place.set_ylabel("y (λ/D)")
     if picture is not None:
         scale = figure.colorbar(picture, ax=list(places), shrink=1.0 if rows == 1 else 0.8)
         scale.set_label("irradiance; 1 = perfect peak", fontsize=8)
+    figure.draw_without_rendering()  # numbers of axes of this size may need more room, which is made next
     return figure
 
 
@@ -73,7 +72,7 @@ def line_of_sight(time_ms: Array, tracks: Mapping[str, Array], unit: str) -> Fig
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     for place, axes in enumerate(figure.subplots(2, sharex=True)):
         for number, (name, track) in enumerate(tracks.items()):
-            axes.plot(time_ms, track[:, place], label=name, **_style(number))
+            axes.plot(time_ms, track[:, place], label=name, **curve_style(number))
         axes.set_ylabel(f"line of sight {'xy'[place]} ({unit})")
     axes.set_xlabel("time (ms)")
     _legend_above(figure, axes)
@@ -83,10 +82,9 @@ def line_of_sight(time_ms: Array, tracks: Mapping[str, Array], unit: str) -> Fig
 @rc_context(STYLE)
 def wavefront_error(time_ms: Array, histories: Mapping[str, Array]) -> Figure:
     """Draw the rms of the wavefront over time (Fig. 4.44)."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     for number, (name, values) in enumerate(histories.items()):
-        axes.plot(time_ms, values, label=name, **_style(number))
+        axes.plot(time_ms, values, label=name, **curve_style(number))
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time (ms)")
     axes.set_ylabel("wavefront error rms, j ≥ 4 (nm)")
@@ -97,7 +95,3 @@ def wavefront_error(time_ms: Array, histories: Mapping[str, Array]) -> Figure:
 def _legend_above(figure: Figure, axes: Axes) -> None:
     """Name the curves outside: histories fill their panels."""
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", fontsize=7.5, ncols=3)
-
-
-def _style(number: int) -> dict[str, Any]:
-    return {"color": COLORS[number % len(COLORS)], "linestyle": LINES[number % len(LINES)], "linewidth": 1.3}

@@ -10,7 +10,7 @@ from matplotlib.path import Path
 from numpy.typing import NDArray
 
 from wavequake.imaging.exposures.mtf import modulation_transfer
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import STYLE, WIDTH, curve_style, one_panel
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]
@@ -22,8 +22,7 @@ _CELLS = 512  # across a pupil
 @rc_context(STYLE)
 def log_psf(image: Array, axis: Array, decades: int = 5) -> Figure:
     """Show an image (n, n) on a logarithmic scale; `axis` (n,) is in wavelengths / diameter."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     top = float(image.max())
     floor = 10.0**-decades * top
     picture = axes.imshow(
@@ -91,15 +90,12 @@ def frame_mtf(image: Array, sampling: float, pupil: Mask) -> tuple[Array, Array]
 @rc_context(STYLE)
 def mtf_curves(images: Mapping[str, Array], sampling: float, pupil: Mask) -> Figure:
     """Draw the MTF of images along x, and that of their pupil without aberration (`frame_mtf`)."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     for index, (name, image) in enumerate(images.items()):
         axes.plot(
             *frame_mtf(image, sampling, pupil),
             label=name,
-            linewidth=1.3,
-            color=COLORS[index % len(COLORS)],
-            linestyle=LINES[index % len(LINES)],
+            **curve_style(index),
         )
     axes.plot(*perfect_mtf(pupil), color="#999999", linewidth=2.6, zorder=0, label="perfect pupil")
     axes.set_xlabel("spatial frequency along x (cycles per λ/D)")

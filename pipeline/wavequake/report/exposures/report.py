@@ -16,7 +16,7 @@ from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels, 
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import frame_of, left_out
-from wavequake.report.table import number, radius
+from wavequake.report.table import number, radius, table_of_rows
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.bench import build_telescope
 
@@ -50,7 +50,7 @@ _DEFINITIONS = (
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     caption = f"{_LEGEND} {answer(dataset)}{what_is_kept(dataset)}"
-    return common.terminal_table(_rows(dataset), _HEADERS, 2, caption)
+    return table_of_rows(_rows(dataset), caption, 2)
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:

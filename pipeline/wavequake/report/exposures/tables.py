@@ -1,13 +1,10 @@
 """What the reports of all exposures have in common: words, tables, groups of cases, and figures."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.exposures import figures as draw
@@ -16,7 +13,6 @@ from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]
-Row = Mapping[str, tuple[str, str]]
 
 SHORTCUT_HEADERS = ("LOS only", "Gaussian")
 DEFINITIONS = (
@@ -27,19 +23,6 @@ DEFINITIONS = (
     ("LOS only", "The image at rest convolved with the trajectory of the line of sight, Eq. 3.80."),
     ("Gaussian", "The image at rest blurred by a Gaussian of the trajectory's mean and covariance."),
 )
-
-
-def terminal_table(rows: Sequence[Row], headers: Sequence[str], labels: int, caption: str) -> Table:
-    """Return a table for the terminal, whose first `labels` columns are words."""
-    table = Table(box=SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 0))
-    for place, header in enumerate(headers):
-        words = place < labels
-        side: Literal["left", "right"] = "left" if words else "right"
-        name = header if words else header.replace(" ", "\n")
-        table.add_column(name, justify=side, overflow="fold", no_wrap=not words)
-    for row in rows:
-        table.add_row(*(value for value, _ in row.values()))
-    return table
 
 
 def without_what_is_alike(rows: Sequence[dict[str, tuple[str, str]]]) -> list[dict[str, tuple[str, str]]]:

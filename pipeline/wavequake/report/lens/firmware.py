@@ -8,7 +8,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style
 from wavequake.report.mirrors.variants import few
 from wavequake.report.statistics import distribution
 from wavequake.report.table import number
@@ -95,9 +95,8 @@ def off_exact(firmware: Firmware) -> Figure:
             curve.values,
             100 * curve.probability,
             where="post",
-            color=COLORS[place],
-            linestyle=LINES[place],
             label=name,
+            **curve_style(place),
         )
     axes.set_xlim(left=0)
     axes.set_ylim(0, 103)

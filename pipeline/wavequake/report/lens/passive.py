@@ -14,6 +14,7 @@ from wavequake.control.bench import LENSES, Bench, bench_modes, fitted_bench
 from wavequake.control.passive import modal_amplitudes
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
 from wavequake.report.page import Page, Section, picture, render_page, write_page
+from wavequake.report.populations import left_out
 from wavequake.report.table import number
 from wavequake.workflows.lens.passive import PARAMETERS
 
@@ -98,7 +99,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         sections=list[Section](),
         definitions=[("amplitude", "|C_j B_j u(ω_j)|/ω_j of mode j: the terms of Störkle 2018, Eq. 5.4.")],
         kind="start",
-        left_out=[],
+        left_out=left_out(dataset, "realization", most=1000),
     )
     return write_page(render_page(dataset, page), target)
 

@@ -10,6 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from wavequake.report.exposures.figures import Panel, exposure_panels
 from wavequake.report.loops import figures as draw
 from wavequake.report.loops.frequency import Curve
 from wavequake.report.loops.outcomes import Level, Outcome, answer, certificate, levels_of, spilled
@@ -28,6 +29,7 @@ _DEFINITIONS = (
     ("S peak", "Largest singular value of (I + G H)^-1 over frequency, with the full model."),
     ("gain, phase", "By how much all channels may change together, or come later, before it is unstable."),
     ("wavefront", "Twice the surface's motion along z, rms over surface and time, piston included."),
+    ("Strehl", "Peak of the long exposure of a star by the mirror alone, at image.wavelength_nm."),
     ("promised", "The same of the reduced model in its own loop: what its designer would expect."),
 )
 _SMALL_PRINT = "Margins and wavefronts are those of the full model; an unstable loop has none."
@@ -130,6 +132,7 @@ def row_of(level: Level, one: Outcome) -> dict[str, tuple[str, str]]:
             number(one["wavefront"]),
             "" if not one.stable else f"promised {number(one['wavefront_promised'])}",
         ),
+        "Strehl": (number(one["strehl"], 4), ""),
     }
 
 
@@ -165,7 +168,24 @@ def _figures(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]
         "A frequency that is off by its damping ratio (dashed line) turns the phase at the resonance: what "
         "was damped may be driven. It matters for modes that forces move and sensors see.",
     )
+    yield from _images(dataset, level, place)
     yield from _over_frequency(dataset, level, place)
+
+
+def _images(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]:
+    if "exposure" not in dataset:
+        return
+    images = {one.variant: dataset["exposure"].to_numpy()[one.row] for one in level.telling if one.stable}
+    images = {"without a controller": dataset["open_exposure"].to_numpy(), **images}
+    yield picture(
+        f"exposure-{place}",
+        "Long exposures of a star",
+        exposure_panels(
+            [Panel(name, image, np.zeros((0, 2))) for name, image in images.items()], dataset["x"].to_numpy()
+        ),
+        "By the mirror alone, in closed form, with the full model, four decades: what moves slower than the "
+        "exposure blurs it. Unstable loops have none.",
+    )
 
 
 def _over_frequency(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]:

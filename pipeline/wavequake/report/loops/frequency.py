@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -13,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from wavequake.drawing.ticks import power_of_ten
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style, one_panel
 
 Array = NDArray[np.float64]
 _GREY, _FLOOR, _REACH = "#444444", 1e-4, 2.5
@@ -68,11 +67,6 @@ class Curve:
         return complex(points[column]), float(self.hertz[row])
 
 
-def style(place: int) -> dict[str, Any]:
-    """Return color and line of one of many curves."""
-    return {"color": COLORS[place % len(COLORS)], "linestyle": LINES[place % len(LINES)], "linewidth": 1.2}
-
-
 def logarithmic(axes: Axes, *, both: bool = True) -> None:
     """Give axes of frequency, and of size, powers of ten."""
     axes.set_xscale("log")
@@ -98,8 +92,10 @@ def bode(curves: Sequence[Curve]) -> Figure:
             # Down to -360 deg, so that -180 deg lies in the middle.
             phase = -(np.degrees(-np.angle(values)) % 360.0)
             turned = np.concatenate([[False], np.abs(np.diff(phase)) > _JUMP])
-            upper.plot(one.hertz, np.abs(values), label=one.label if column == 0 else None, **style(place))
-            lower.plot(one.hertz, np.where(turned, np.nan, phase), **style(place))
+            upper.plot(
+                one.hertz, np.abs(values), label=one.label if column == 0 else None, **curve_style(place)
+            )
+            lower.plot(one.hertz, np.where(turned, np.nan, phase), **curve_style(place))
         for point, hertz in one.critical():
             size, angle = abs(point), -(np.degrees(-np.angle(point)) % 360.0)
             upper.plot([hertz, hertz], [1.0, size], "-o", color=COLORS[place % len(COLORS)], markersize=3.5)
@@ -133,12 +129,13 @@ def arcs(locus: NDArray[np.complex128]) -> NDArray[np.complex128]:
 @rc_context(STYLE)
 def nyquist(curves: Sequence[Curve]) -> Figure:
     """Draw loop gains in the complex plane about -1, with margins and the circle of the highest peak."""
-    figure = Figure(figsize=(WIDTH, 1.25 * HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(height=1.25 * HEIGHT)
     axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor="#999999", linewidth=0.8))
     for place, one in enumerate(curves):
         for column, values in enumerate(map(arcs, one.gain.T)):
-            axes.plot(values.real, values.imag, label=one.label if column == 0 else None, **style(place))
+            axes.plot(
+                values.real, values.imag, label=one.label if column == 0 else None, **curve_style(place)
+            )
         for point, _ in one.critical():
             axes.plot(point.real, point.imag, "o", color=COLORS[place % len(COLORS)], markersize=4.5)
     axes.plot(-1.0, 0.0, "+", color=_GREY, markersize=10)
@@ -155,8 +152,8 @@ def sensitivities(curves: Sequence[Curve]) -> Figure:
     """Draw the sizes of sensitivity and complementary sensitivity."""
     figure, upper, lower = _panels(1.25 * HEIGHT)
     for place, one in enumerate(curves):
-        upper.plot(one.hertz, one.sensitivity, label=one.label, **style(place))
-        lower.plot(one.hertz, one.complementary, **style(place))
+        upper.plot(one.hertz, one.sensitivity, label=one.label, **curve_style(place))
+        lower.plot(one.hertz, one.complementary, **curve_style(place))
     for axes, label in ((upper, "sensitivity |S|"), (lower, "complementary |T|")):
         logarithmic(axes)
         axes.axhline(1.0, color=_GREY, linewidth=0.8)

@@ -37,6 +37,7 @@ _TAKEN = (
     "wavefront_open",
     "wavefront",
     "wavefront_promised",
+    "strehl",
 )
 
 
@@ -111,7 +112,8 @@ def levels_of(dataset: xr.Dataset) -> list[Level]:
     """Return the finished cases of a store by effort, and which one is enough."""
     criterion = json.loads(dataset.attrs["study"])["criterion"]
     names, methods, efforts = (dataset[one].to_numpy() for one in ("variant", "method", "effort"))
-    numbers = {name: dataset[name].to_numpy() for name in _TAKEN}
+    unknown = np.full(dataset.sizes["case"], np.nan)  # 0.3 kept no images
+    numbers = {name: dataset[name].to_numpy() if name in dataset else unknown for name in _TAKEN}
     done = np.flatnonzero(dataset["status"].to_numpy() == DONE)
     cases = dataset["case"].to_numpy()
     outcomes = [

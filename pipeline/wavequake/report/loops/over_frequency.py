@@ -60,7 +60,7 @@ def over_frequency(
             spectra(left, "What is left of the line of sight", unit),
             f"Of the histories of {counted(count, 'case')}, both axes, each about its mean, with noise; the "
             "thick line is the motion without a loop. Below is the rms of all that is faster than a "
-            "frequency: where a curve rises to the left, the residual comes from.",
+            "frequency: the residual comes from where a curve rises to the left.",
         )
     elif predicted := _predicted(cases, names):
         yield picture(

@@ -11,21 +11,19 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style, one_panel
 from wavequake.report.loops.frequency import (
     Curve,
     logarithmic,
-    style,
 )
 from wavequake.report.loops.over_frequency import locus, loops_over_frequency, noise_picture
 from wavequake.report.loops.spectra import Spectrum, of_density, spectra
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, number, table_of_rows
 
 _GREY: dict[str, Any] = {"color": "#444444", "linewidth": 0.8, "linestyle": (0, (5, 2))}
 _PARTS = ("wind", "structure", "noise", "total")
@@ -134,13 +132,7 @@ def rows_of(loops: Sequence[Bandwidth]) -> list[dict[str, tuple[str, str]]]:
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    rows = rows_of(bandwidths_of(dataset))
-    table = Table(box=SIMPLE_HEAD, caption=answer(dataset), caption_justify="left")
-    for header in rows[0]:
-        table.add_column(header.replace(" ", "\n", 1), justify="right", no_wrap=True)
-    for row in rows:
-        table.add_row(*(" ".join(part for part in cell if part) for cell in row.values()))
-    return table
+    return table_of_rows(rows_of(bandwidths_of(dataset)), answer(dataset), 0, " {}")
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
@@ -189,11 +181,12 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
 
 @rc_context(STYLE)
 def _remains(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     hertz = [one.hertz for one in loops]
     for place, key in enumerate(_PARTS):
-        wide: dict[str, Any] = {"linewidth": 2.4, "color": "#222222"} if key == "total" else style(place)
+        wide: dict[str, Any] = (
+            {"linewidth": 2.4, "color": "#222222"} if key == "total" else curve_style(place)
+        )
         axes.plot(hertz, [getattr(one, key) for one in loops], marker="o", markersize=3, label=key, **wide)
     for place, key in enumerate(("open_wind", "open_structure")):
         axes.axhline(float(dataset[key]), color=COLORS[place], linestyle=":", linewidth=1.2)
@@ -206,11 +199,10 @@ def _remains(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> Figure:
 
 @rc_context(STYLE)
 def _peaks(dataset: xr.Dataset) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     hertz, peaks = dataset["bandwidth"].to_numpy(), dataset["peak_by_mode"].to_numpy()
     for place, name in enumerate(map(str, dataset["structure_mode"].to_numpy())):
-        axes.plot(hertz, peaks[:, place], marker="o", markersize=3, label=name, **style(place))
+        axes.plot(hertz, peaks[:, place], marker="o", markersize=3, label=name, **curve_style(place))
     axes.axhline(json.loads(dataset.attrs["study"])["criterion"]["peak"], **_GREY)
     if np.isfinite(limit := float(dataset["nominal_limit"])) and limit > 0:
         axes.axvline(limit, **_GREY)
@@ -314,8 +306,7 @@ def _modes(dataset: xr.Dataset) -> Figure:
 
 @rc_context(STYLE)
 def _errors(dataset: xr.Dataset) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     done = dataset.isel(case=np.flatnonzero(dataset["status"].to_numpy() == DONE))
     limit, least, low, high = (
         done[name].to_numpy() for name in ("limit_hz", "least_gain", "gain_low", "gain_high")

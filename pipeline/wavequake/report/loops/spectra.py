@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import periodogram
 
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH
-from wavequake.report.loops.frequency import logarithmic, style
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style
+from wavequake.report.loops.frequency import logarithmic
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ def spectra(found: Sequence[Spectrum], what: str, unit: str) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True)
     shaped = iter(range(len(found)))
     for one in found:
-        look = {"color": "#999999", "linewidth": 2.6} if one.calm else style(next(shaped))
+        look = {"color": "#999999", "linewidth": 2.6} if one.calm else curve_style(next(shaped))
         upper.plot(one.hertz, one.density, **look)
         lower.plot(one.hertz, one.above, label=f"{one.label}: {number(one.above[0])} {unit} rms", **look)
     logarithmic(upper)

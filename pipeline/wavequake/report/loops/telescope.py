@@ -16,13 +16,12 @@ from rich.table import Table
 from wavequake.campaign.contract import DONE
 from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style
 from wavequake.report.histories import has_histories, over_time, what_is_kept
-from wavequake.report.loops.frequency import style
 from wavequake.report.loops.over_frequency import over_frequency
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import frame_of, left_out
-from wavequake.report.table import number, radius
+from wavequake.report.table import number, radius, table_of_rows
 from wavequake.workflows.loops.controller_names import explain_names
 
 Array = NDArray[np.float64]
@@ -186,13 +185,12 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     dataset = seen_by_loops(dataset)
     rows = common.without_what_is_alike(_rows(dataset))
-    headers = tuple(rows[0]) if rows else ()
-    labels = headers.index("controller") + 1 if rows else 0
+    labels = list(rows[0]).index("controller") + 1 if rows else 0
     legend = [_MEDIANS, *(words for key, words in _TRACED.items() if key in dataset)]
     legend += [_traced(dataset), explain_names(controllers_of(dataset).values())]
     legend += [answer(dataset) + what_is_kept(dataset)]
     caption = " ".join(filter(None, legend))
-    return common.terminal_table(rows, headers, labels, caption)
+    return table_of_rows(rows, caption, labels)
 
 
 def _traced(dataset: xr.Dataset) -> str:
@@ -310,7 +308,7 @@ def _scan(mine: Sequence[Result], known: dict[str, dict[str, Any]], unit: str) -
             point = float(record["latency_frames"]), float(getattr(one, key))
             curves.setdefault(curve_label(record), []).append(point)
         for place, (name, points) in enumerate(curves.items()):
-            axes.plot(*np.array(sorted(points)).T, label=name, marker="o", markersize=3, **style(place))
+            axes.plot(*np.array(sorted(points)).T, label=name, marker="o", markersize=3, **curve_style(place))
         axes.set_ylim(bottom=0)
         axes.set_ylabel(label)
     panels[-1].set_xlabel("latency (periods of the controller)")

@@ -9,17 +9,16 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
-from wavequake.report.loops.frequency import Curve, logarithmic, style
+from wavequake.report.figures import COLORS, STYLE, curve_style, one_panel
+from wavequake.report.loops.frequency import Curve, logarithmic
 from wavequake.report.loops.over_frequency import SENSITIVITY, locus, loops_over_frequency, noise_picture
 from wavequake.report.loops.spectra import of_density
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, number, table_of_rows
 
 # The same without a loop.
 _OPEN = {"left_psd": "open_psd", "cumulative": "open_cumulative"}
@@ -105,14 +104,7 @@ def answer(dataset: xr.Dataset, loops: Sequence[Loop]) -> str:
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     loops = loops_of(dataset)
-    table = Table(box=SIMPLE_HEAD, caption=answer(dataset, loops), caption_justify="left")
-    rows = [row_of(one) for one in loops]
-    for header in rows[0] if rows else ():
-        left = header == "controller"
-        table.add_column(header.replace(" ", "\n"), justify="left" if left else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*(" ".join(part for part in cell if part) for cell in row.values()))
-    return table
+    return table_of_rows([row_of(one) for one in loops], answer(dataset, loops), small=" {}")
 
 
 def row_of(one: Loop) -> dict[str, tuple[str, str]]:
@@ -180,7 +172,7 @@ def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> 
             f"cumulative-{rate:g}",
             "Cumulative residual over frequency",
             _curves(dataset, loops, "cumulative", "rms below this frequency (mas)"),
-            "Where a curve rises, the residual comes from; the thick line is the motion without a loop. "
+            "The residual comes from where a curve rises; the thick line is the motion without a loop. "
             "The sensor's noise is counted from the start.",
         ),
     ]
@@ -223,12 +215,11 @@ def frequency_curves(dataset: xr.Dataset, loops: Sequence[Loop]) -> list[Curve]:
 
 @rc_context(STYLE)
 def _rates(loops: Sequence[Loop]) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     for place, name in enumerate(dict.fromkeys(one.controller for one in loops)):
         mine = sorted((one for one in loops if one.controller == name), key=lambda one: one.rate_hz)
         rates = [one.rate_hz for one in mine]
-        axes.plot(rates, [one.exact for one in mine], label=name, **style(place))
+        axes.plot(rates, [one.exact for one in mine], label=name, **curve_style(place))
         bars = [0.0 if np.isnan(one.error) else 3 * one.error for one in mine]
         axes.errorbar(
             rates,
@@ -251,12 +242,11 @@ def _rates(loops: Sequence[Loop]) -> Figure:
 
 @rc_context(STYLE)
 def _curves(dataset: xr.Dataset, loops: Sequence[Loop], name: str, label: str) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     hertz, values = dataset["frequency"].to_numpy(), dataset[name].to_numpy()
     axes.plot(hertz, dataset[_OPEN[name]].to_numpy(), color="#999999", linewidth=2.6, label="without a loop")
     for place, one in enumerate(loops):
-        axes.plot(hertz, values[one.row], label=one.label, **style(place))
+        axes.plot(hertz, values[one.row], label=one.label, **curve_style(place))
     logarithmic(axes)
     axes.set(xlabel="frequency (Hz)", ylabel=label, title=label)
     axes.legend(fontsize=7.5)

@@ -14,10 +14,10 @@ from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
 from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
-from wavequake.report.mirrors.variants import few, left_out
+from wavequake.report.mirrors.variants import few
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.populations import frame_of
-from wavequake.report.table import MISSING, number, radius
+from wavequake.report.populations import frame_of, left_out
+from wavequake.report.table import MISSING, number, radius, table_of_rows
 from wavequake.workflows.mirrors.bench import bench_of
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ _SCALE = (
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     rows = _rows(dataset)
-    return common.terminal_table(rows, _HEADERS, 3, f"{_LEGEND} {answer(rows)}{what_is_kept(dataset)}")
+    return table_of_rows(rows, f"{_LEGEND} {answer(rows)}{what_is_kept(dataset)}", 3)
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
@@ -61,7 +61,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         ],
         definitions=[*common.DEFINITIONS, _SCALE],
         kind="variant",
-        left_out=left_out(dataset),
+        left_out=left_out(dataset, ["model", "variant"]),
     )
     return write_page(render_page(dataset, page), target)
 

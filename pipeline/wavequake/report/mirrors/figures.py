@@ -1,7 +1,6 @@
 """Figures of mirror-mor and mirror-trace, after Figs. 4.14 to 4.21 and 4.27 to 4.36 of Störkle 2018."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,17 +13,12 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from wavequake.drawing.ticks import power_of_ten
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, curve_style, one_panel
 from wavequake.report.mirrors.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
 
 EXPOSED = 3  # variants whose exposures stand beside that of the reference
 # Noll indices whose responses Fig. 4.29 shows: one of each pair that three-fold symmetry makes alike.
 _SHOWN = (2, 4, 5, 7, 9, 11)
-
-
-def _figure() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    return figure, figure.add_subplot()
 
 
 def label_powers(axis: Axis) -> None:
@@ -33,14 +27,10 @@ def label_powers(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _style(number: int) -> dict[str, Any]:
-    return {"color": COLORS[number % len(COLORS)], "linestyle": LINES[number % len(LINES)], "linewidth": 1.2}
-
-
 @rc_context(STYLE)
 def errors_over_order(models: Sequence[ModelResult], criterion: Criterion) -> Figure:
     """Draw the deciding error of all variants over their order, one marker per method."""
-    figure, axes = _figure()
+    figure, axes = one_panel()
     methods = list(dict.fromkeys(one.method for model in models for one in model.variants))
     markers = "osD^v<>PX*hd8p"
     for model_number, model in enumerate(models):
@@ -74,7 +64,7 @@ def spectra(
     dataset: xr.Dataset, name: str, shown: Sequence[VariantResult], reference: VariantResult | None
 ) -> Figure:
     """Draw a stored spectrum of some variants over frequency, and that of the reference beneath them."""
-    figure, axes = _figure()
+    figure, axes = one_panel()
     frequency = dataset["frequency"].to_numpy()
     rows = {int(case): row for row, case in enumerate(dataset["case"].to_numpy())}
     if reference is not None:
@@ -82,7 +72,7 @@ def spectra(
         axes.semilogy(frequency, values, color="#999999", linewidth=2.6, label=reference.variant)
     for number, one in enumerate(shown):
         values = dataset[name].isel(case=rows[one.case]).to_numpy()
-        axes.semilogy(frequency, np.maximum(values, 1e-16), label=one.variant, **_style(number))
+        axes.semilogy(frequency, np.maximum(values, 1e-16), label=one.variant, **curve_style(number))
     label_powers(axes.yaxis)
     axes.set_xlabel("frequency (Hz)")
     units = dataset[name].attrs.get("units", "1")
@@ -102,14 +92,14 @@ _SPECTRA = {
 @rc_context(STYLE)
 def coefficient_spectra(dataset: xr.Dataset, reference: VariantResult) -> Figure:
     """Draw which aberrations respond at which frequency, for the reference (Fig. 4.29a)."""
-    figure, axes = _figure()
+    figure, axes = one_panel()
     values = dataset["frf_zernike"].sel(case=reference.case)
     for number, j in enumerate(j for j in _SHOWN if j in values["noll"].to_numpy()):
         axes.semilogy(
             dataset["frequency"].to_numpy(),
             values.sel(noll=j).to_numpy(),
             label=f"c{j}",
-            **_style(number),
+            **curve_style(number),
         )
     label_powers(axes.yaxis)
     axes.set_xlabel("frequency (Hz)")
@@ -127,7 +117,7 @@ def models_side_by_side(dataset: xr.Dataset, models: Sequence[ModelResult]) -> F
         if model.reference is None:
             continue
         one = dataset.sel(case=model.reference.case)
-        style = _style(number) | {"label": f"{model.name} ({model.reference.variant})"}
+        style = curve_style(number) | {"label": f"{model.name} ({model.reference.variant})"}
         response.semilogy(dataset["frequency"].to_numpy(), one["frf_mech"].to_numpy(), **style)
         found = one["mode_frequency"].to_numpy()
         modes.plot(np.arange(1, len(found) + 1), found, ".-", color=style["color"], linewidth=0.6)
@@ -144,7 +134,7 @@ def models_side_by_side(dataset: xr.Dataset, models: Sequence[ModelResult]) -> F
 @rc_context(STYLE)
 def mechanical_and_optical(dataset: xr.Dataset, reference: VariantResult) -> Figure:
     """Draw both responses of the reference, scaled alike at the mechanical one's highest peak (Fig. 4.27)."""
-    figure, axes = _figure()
+    figure, axes = one_panel()
     frequency, other = dataset["frequency"].to_numpy(), axes.twinx()
     one = dataset.sel(case=reference.case)
     # Of the elastic part only: below the first resonance the free mirror just flies.
@@ -176,9 +166,9 @@ def wavefront_history(
     part = dataset.sel(excitation=excitation)
     above.plot(time, part["wfe_rms"].sel(case=reference.case), color="#999999", linewidth=2.6)
     for number, one in enumerate(shown):
-        above.plot(time, part["wfe_rms"].sel(case=one.case), **_style(number))
+        above.plot(time, part["wfe_rms"].sel(case=one.case), **curve_style(number))
         off = np.maximum(part["wfe_error"].sel(case=one.case).to_numpy(), 1e-9)
-        below.semilogy(time, off, label=one.variant, **_style(number))
+        below.semilogy(time, off, label=one.variant, **curve_style(number))
     _label_histories(above, below, f"{excitation}; gray: {reference.variant}", "off the reference (nm)")
     return figure
 
@@ -195,7 +185,7 @@ def _label_histories(above: Axes, below: Axes, title: str, difference: str) -> N
 @rc_context(STYLE)
 def pseudo_frequencies(shown: Sequence[VariantResult]) -> Figure:
     """Draw the largest pseudo-eigenfrequency of some variants (Fig. 4.21a)."""
-    figure, axes = _figure()
+    figure, axes = one_panel()
     place = np.arange(len(shown))
     axes.barh(place, [one.pseudo_frequency_max / 1e3 for one in shown], color=COLORS[0])
     axes.set_yticks(place, [one.variant for one in shown])
@@ -207,7 +197,7 @@ def pseudo_frequencies(shown: Sequence[VariantResult]) -> Figure:
 @rc_context(STYLE)
 def mac_map(dataset: xr.Dataset, one: VariantResult, reference: VariantResult) -> Figure:
     """Map the modal assurance criterion of a variant's modes with the reference's (Fig. 4.19)."""
-    figure, axes = _figure()
+    figure, axes = one_panel()
     table: NDArray[np.float64] = dataset["mac"].sel(case=one.case).to_numpy()
     count = int(np.isfinite(table).any(axis=1).sum())
     image = axes.imshow(table[:count], cmap="Greys", vmin=0.0, vmax=1.0, origin="lower", extent=None)
@@ -246,11 +236,11 @@ def exposure_panels(
 @rc_context(STYLE)
 def mode_fits(dataset: xr.Dataset, shown: Sequence[VariantResult]) -> Figure:
     """Draw how badly the Zernike polynomials fit each mode of some variants (Fig. 4.36)."""
-    figure, axes = _figure()
+    figure, axes = one_panel()
     for number, one in enumerate(shown):
         values = dataset["fit_residual"].sel(case=one.case).to_numpy()[: one.order]
         axes.semilogy(
-            np.arange(1, len(values) + 1), np.maximum(values, 1e-16), label=one.variant, **_style(number)
+            np.arange(1, len(values) + 1), np.maximum(values, 1e-16), label=one.variant, **curve_style(number)
         )
     label_powers(axes.yaxis)
     axes.set_ylim(bottom=1e-6)
@@ -272,7 +262,7 @@ def both_methods(dataset: xr.Dataset, excitation: str, shown: Sequence[tuple[int
         above.plot(time, one["wfe_rms_standard"], color=color, linewidth=2.4, alpha=0.35)
         above.plot(time, one["wfe_rms_modal"], color=color, linewidth=0.9)
         off = np.maximum(one["wfe_difference"].to_numpy(), 1e-9)
-        below.semilogy(time, off, label=variant, **_style(number))
+        below.semilogy(time, off, label=variant, **curve_style(number))
     title = f"{excitation}; wide: every instant traced, thin: sensitivities of modes"
     _label_histories(above, below, title, "difference (nm)")
     return figure
@@ -281,8 +271,7 @@ def both_methods(dataset: xr.Dataset, excitation: str, shown: Sequence[tuple[int
 @rc_context(STYLE)
 def costs(seconds: Mapping[str, Mapping[str, float]]) -> Figure:
     """Draw the time of each stage as a bar per variant (Table 4.1)."""
-    figure = Figure(figsize=(2 * WIDTH, 1.0 + 0.3 * len(seconds)), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(2 * WIDTH, 1.0 + 0.3 * len(seconds))
     start = np.zeros(len(seconds))
     for number, stage in enumerate(next(iter(seconds.values()))):
         width = 1e3 * np.array([stages[stage] for stages in seconds.values()])

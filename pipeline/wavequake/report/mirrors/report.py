@@ -22,11 +22,11 @@ from wavequake.report.mirrors.variants import (
     criterion_of,
     few,
     largest,
-    left_out,
     model_results,
     representatives,
 )
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 
 _SMALL_PRINT = (
@@ -34,6 +34,11 @@ _SMALL_PRINT = (
     "the band. WFE: largest error over time as a share of the reference's largest value; LOS: largest error; "
     "image: L2 norm of the difference of unit-energy exposures; each for the worst of the excitations that "
     "decide."
+)
+_TABLE_WORDS = (
+    "Made in: time of the reduction. f max: highest frequency of the reduced model. ε mech, ε opt: largest "
+    "relative errors over frequency of the motion of the interfaces and of the shape of the surface. WFE, "
+    "LOS, image: errors of wavefront, line of sight and exposure over time, under the worst excitation."
 )
 _DEFINITIONS = (
     ("ε mech", "‖H - H_ref‖ / ‖H_ref‖ of the receptance at the interfaces (Störkle 2018, Eq. 2.10)."),
@@ -53,7 +58,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     models, criterion = results_of(dataset)
     headers = list(_HEADERS)
-    words = f"{answer(models, criterion)} {checked(dataset)}{what_is_kept(dataset)}"
+    words = f"{answer(models, criterion)} {_TABLE_WORDS} {checked(dataset)}{what_is_kept(dataset)}"
     table = Table(
         box=SIMPLE_HEAD, caption=words, caption_justify="left", padding=(0, 1, 0, 0), pad_edge=False
     )
@@ -102,7 +107,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         sections=[Section(model.name, list(_figures(dataset, model))) for model in models],
         definitions=list(_DEFINITIONS),
         kind="variant",
-        left_out=left_out(dataset),
+        left_out=left_out(dataset, ["model", "variant"]),
     )
     return write_page(render_page(dataset, page), target)
 

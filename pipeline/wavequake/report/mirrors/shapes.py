@@ -5,7 +5,6 @@ After Figs. 4.16, 4.21b to 4.24, 4.28 and 4.35 of Störkle 2018.
 
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel
 from wavequake.report.histories import has_all_instants
 from wavequake.report.mirrors.deformed_body import bodies
 from wavequake.report.mirrors.variants import ModelResult, VariantResult, representatives
@@ -129,14 +128,11 @@ def node_history(
     above.plot(time, truth, color="#999999", linewidth=2.6)
     largest = max(float(np.abs(truth).max()), 1e-300)
     for number, one in enumerate(shown):
-        style: dict[str, Any] = {
-            "color": COLORS[number % len(COLORS)],
-            "linestyle": LINES[number % len(LINES)],
-        }
+        style = curve_style(number)
         moved = motion.sel(case=one.case).to_numpy()
-        above.plot(time, moved, linewidth=1.2, **style)
+        above.plot(time, moved, **style)
         off = np.maximum(np.abs(moved - truth) / largest, _FLOOR)
-        below.semilogy(time, off, linewidth=1.2, label=one.variant, **style)
+        below.semilogy(time, off, label=one.variant, **style)
     below.axhline(0.01, color="#444444", linewidth=0.8, linestyle=(0, (5, 2)))
     above.set_ylabel("z (µm)")
     above.set_title(f"{excitation}; gray: {reference.variant}; dashed: 1 %")
@@ -191,8 +187,7 @@ def _mosaic(
     gap = _PIXELS // 4
     cell = _PIXELS + gap
     canvas = np.full((len(rows) * cell, columns * cell), np.nan)
-    figure = Figure(figsize=(2 * WIDTH, 2 * WIDTH * len(rows) / columns + 0.3), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(2 * WIDTH, 2 * WIDTH * len(rows) / columns + 0.3)
     for row, (tiles, words) in enumerate(rows):
         bottom = (len(rows) - 1 - row) * cell
         sizes = [float(np.nanmax(np.abs(tile))) for tile in tiles]

@@ -10,12 +10,11 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.store.store import read_manifest
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import STYLE, WIDTH, curve_style, one_panel
 from wavequake.report.mirrors.figures import label_powers
 from wavequake.report.mirrors.report import results_of, worded
 from wavequake.report.mirrors.variants import (
@@ -29,7 +28,7 @@ from wavequake.report.mirrors.variants import (
 )
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
 from wavequake.report.plain import short
-from wavequake.report.table import number
+from wavequake.report.table import number, table_of_rows
 from wavequake.words import counted
 from wavequake.workflows.sweep import SweepStudy, Value, label_names, point_study, points_of
 
@@ -160,13 +159,7 @@ def _named(point: Point) -> str:
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table for the terminal: a row per model and point."""
     points = points_done(store, dataset)
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
-    table.caption = answer(points)
-    for place, header in enumerate(_row(points[0]) if points else ()):
-        table.add_column(header, justify="left" if place < 1 else "right", overflow="fold")
-    for point in points:
-        table.add_row(*(value for value, _ in _row(point).values()))
-    return table
+    return table_of_rows([_row(point) for point in points], answer(points))
 
 
 def _row(point: Point) -> dict[str, tuple[str, str]]:
@@ -255,8 +248,7 @@ def _words(points: Sequence[Point], one: Point, without: str = "") -> str:
 @rc_context(STYLE)
 def errors_over_order(points: Sequence[Point]) -> Figure:
     """Draw the least error of all variants of at most some order, a step line per point."""
-    figure = Figure(figsize=(2 * WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(2 * WIDTH)
     for index, point in enumerate(points):
         known = [one for one in point.model.variants if np.isfinite(largest(one, point.criterion))]
         errors = [max(largest(one, point.criterion), 1e-12) for one in known]
@@ -264,9 +256,8 @@ def errors_over_order(points: Sequence[Point]) -> Figure:
             [one.order for one in known],
             np.minimum.accumulate(errors) if errors else [],
             where="post",
-            color=COLORS[index % len(COLORS)],
-            linestyle=LINES[index % len(LINES)],
             marker=".",
+            **curve_style(index),
             label=_words(points, point),
         )
     for bound in {point.criterion.bound for point in points}:
@@ -288,8 +279,7 @@ def _over(
     *,
     whole: bool,
 ) -> Figure:
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     for index, (words, points) in enumerate(lines.items()):
         ordered = sorted(points, key=lambda one: float(one.values[name]))  # type: ignore[arg-type]
         values = [value_of(one) for one in ordered]
@@ -297,9 +287,8 @@ def _over(
             [float(one.values[name]) for one in ordered],  # type: ignore[arg-type]
             values,
             marker="o",
-            color=COLORS[index % len(COLORS)],
-            linestyle=LINES[index % len(LINES)],
             label=words,
+            **curve_style(index),
         )
     axes.yaxis.set_major_locator(MaxNLocator(integer=whole))
     axes.set(xlabel=name, ylabel=label)

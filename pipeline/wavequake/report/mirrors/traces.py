@@ -13,8 +13,9 @@ from rich.text import Text
 from wavequake.campaign.contract import DONE
 from wavequake.report.histories import has_histories, over_time, what_is_kept
 from wavequake.report.mirrors import figures as draw
-from wavequake.report.mirrors.variants import few, left_out
+from wavequake.report.mirrors.variants import few
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 from wavequake.workflows.mirrors.trace import MODAL, STANDARD
 
@@ -199,7 +200,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         ],
         definitions=list(_DEFINITIONS),
         kind="variant",
-        left_out=left_out(dataset),
+        left_out=left_out(dataset, ["model", "variant"]),
     )
     return write_page(render_page(dataset, page), target)
 

@@ -8,8 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE, STATUS_MEANINGS, TODO
-from wavequake.report.populations import Excluded
+from wavequake.campaign.contract import DONE
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
@@ -145,21 +144,6 @@ def _result(case: xr.Dataset, scale: Array) -> VariantResult:
             "image": case["image_error"].to_numpy(),
         },
     )
-
-
-def left_out(dataset: xr.Dataset) -> list[Excluded]:
-    """Return the variants that failed, with the reason."""
-    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
-    return [
-        Excluded(
-            case=int(dataset["case"].to_numpy()[row]),
-            disturbance=f"{dataset['model'].to_numpy()[row]} {dataset['variant'].to_numpy()[row]}",
-            realization=None,
-            reason=meanings[status[row]],
-            message=str(dataset["message"].to_numpy()[row]),
-        )
-        for row in np.flatnonzero((status != DONE) & (status != TODO))
-    ]
 
 
 def representatives(model: ModelResult, most: int = 6) -> list[VariantResult]:

@@ -15,8 +15,9 @@ from wavequake.report.figures import opd_map, segment_map
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.mirrors import figures as draw
 from wavequake.report.mirrors import report as mirrors
-from wavequake.report.mirrors.variants import ModelResult, VariantResult, left_out, representatives
+from wavequake.report.mirrors.variants import ModelResult, VariantResult, representatives
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import left_out
 from wavequake.report.segments.detail import Detail
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
 from wavequake.workflows.segments.mor import SHAKEN, at_rest, launches
@@ -85,7 +86,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         ],
         definitions=_DEFINITIONS,
         kind="variant",
-        left_out=left_out(dataset),
+        left_out=left_out(dataset, ["model", "variant"]),
     )
     return write_page(render_page(dataset, page), target)
 

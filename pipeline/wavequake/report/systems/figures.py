@@ -11,7 +11,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from wavequake.drawing.style import hover
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style, one_panel
 from wavequake.report.statistics import distribution
 from wavequake.report.table import number
 
@@ -26,8 +26,7 @@ def distributions(
     values: Mapping[str, Array], label: str, sets: Mapping[str, NDArray[np.int64] | None] | None = None
 ) -> Figure:
     """Draw the empirical distribution functions of values by name, each with its 95 % band."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     for index, (name, samples) in enumerate(values.items()):
         found = distribution(samples, sets=(sets or {}).get(name))
         color = COLORS[index % len(COLORS)]
@@ -36,9 +35,8 @@ def distributions(
             np.append(found.values[:1], found.values),
             np.append(0.0, found.probability),
             where="post",
-            color=color,
-            linestyle=LINES[index % len(LINES)],
             label=name,
+            **curve_style(index),
         )
     axes.set_ylim(0, 1)
     medians = [float(np.median(samples)) for samples in values.values()]
@@ -58,8 +56,7 @@ def distributions(
 @rc_context(STYLE)
 def field_map(points: Array, values: Array, unit: str, label: str) -> Figure:
     """Draw a value at every field point (F, 2)."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel()
     middle, reach = float(values.mean()), float(np.ptp(values)) / 2.0
     reach = max(reach, 0.01 * abs(middle)) or 1.0  # what is equal everywhere has one color
     ends = Normalize(middle - reach, middle + reach)

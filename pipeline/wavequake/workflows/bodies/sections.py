@@ -20,7 +20,6 @@ Points = dict[str, Point]
 Positive = Annotated[float, Field(gt=0, le=1e15)]
 Ratios = Annotated[tuple[float, ...], Field(strict=False)]
 Held = str | Annotated[tuple[str, ...], Field(min_length=3, strict=False)]
-Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]*$")]
 
 
 class SolidSection(Section):

@@ -10,7 +10,10 @@ from wavequake.chain.loops.reaction import Pushing, coordinates, load_mass, push
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
 from wavequake.mechanics.assembly.plant import Plant
-from wavequake.workflows.bodies.made import MM_PER_M
+from wavequake.optics.segments.telescope import M2
+from wavequake.optics.systems.bodies import rigid_body
+from wavequake.optics.systems.system import OpticalSystem
+from wavequake.workflows.bodies.made import MM_PER_M, transported
 from wavequake.workflows.bodies.sections import BodySection
 from wavequake.workflows.segments.bench import Bench
 from wavequake.workflows.segments.launches import states_at_rest
@@ -107,6 +110,21 @@ def _own_body(one: Actuator, bench: Bench, plant: Plant) -> tuple[slice, Array] 
     center = optical.point if section.rigid.center_mm is None else np.array(section.rigid.center_mm)
     away = optical.rotation.T @ (center - optical.point) / MM_PER_M
     return place, load_mass(section.rigid.mass_kg, np.diag(section.rigid.inertia_kg_m2), away)
+
+
+def movable_surfaces(system: OpticalSystem) -> dict[str, Array]:
+    """Return the motions of surfaces (6, L, 6) per motion of each surface after M1, and of each body."""
+    after = [one.name for one in system.after_primary]
+    found = {name: np.zeros((6, len(system.surfaces), 6)) for name in (*after, *system.bodies)}
+    for place, name in enumerate(after, start=M2):
+        found[name][:, place] = np.eye(6)
+    for name, surfaces in system.bodies.items():
+        body = rigid_body(system, name, surfaces)
+        axes = np.asarray(np.kron(np.eye(2), body.rotation), dtype=np.float64)
+        for place in body.surfaces:
+            one = system.surfaces[place]
+            found[name][:, place] = transported(axes, body.point, one.rotation, one.position).T
+    return found
 
 
 def movable_bodies(bench: Bench) -> dict[str, Array]:

@@ -31,7 +31,7 @@ from wavequake.campaign.store.store import (
 )
 from wavequake.campaign.store.whole import write_dataset
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.mechanics.disturbances.registry import Combine
 from wavequake.prepared import one_thread, prepared
 from wavequake.words import counted, lasting
@@ -122,8 +122,7 @@ def budget(
     """
     _require_budget(study, cases)
     assert isinstance(study, SegmentStudy | SystemStudy)
-    device = choose_device(study.campaign.device)
-    work = _Work(find_kind(study.study.workflow), study.model_dump_json(), of, device.name, measure)
+    work, device = _work_of(study, of, measure)
     experiment = _experiment(work)
     name = summed(study, of).name
     allowed = allocations(study.budget, experiment.branches, experiment.quantities)
@@ -155,8 +154,7 @@ def plan_budget(
     """
     _require_budget(study, cases)
     assert isinstance(study, SegmentStudy | SystemStudy)
-    device = choose_device(study.campaign.device)
-    work = _Work(find_kind(study.study.workflow), study.model_dump_json(), of, device.name, measure)
+    work, device = _work_of(study, of, measure)
     experiment = _experiment(work)
     allocations(study.budget, experiment.branches, experiment.quantities)
     block = (0, min(experiment.at_once, cases))
@@ -187,6 +185,12 @@ class _Work:
     of: str | None
     device: str
     measure: str | None = None
+
+
+def _work_of(study: Study, of: str | None, measure: str | None) -> tuple[_Work, Device]:
+    device = choose_device(study.campaign.device)
+    kind = find_kind(study.study.workflow)
+    return _Work(kind, study.model_dump_json(), of, device.name, measure), device
 
 
 def _experiment(work: _Work) -> Experiment:
@@ -299,9 +303,7 @@ def stored_budget(
     if target.exists() and isinstance(study, SegmentStudy | SystemStudy):
         found = open_budget(path)
         wanted = of or found.attrs["population"]
-        device = choose_device(study.campaign.device).name
-        work = _Work(find_kind(study.study.workflow), study.model_dump_json(), of, device, measure)
-        branches = _experiment(work).branches if study.budget else ()
+        branches = _experiment(_work_of(study, of, measure)[0]).branches if study.budget else ()
         keys = ("study_sha256", "cases", "population", "groups", "measure")
         if [found.attrs.get(key, "") for key in keys] == [
             study.identity(),

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 from wavequake.campaign.store.store import BUDGET
 from wavequake.campaign.store.whole import read_dataset
-from wavequake.errors import UserError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,16 +21,7 @@ def unit_of(found: "xr.Dataset", quantity: str) -> str:
 
 
 def open_budget(path: Path | str) -> "xr.Dataset":
-    """Read the budget that the folder of a store keeps.
-
-    Raises
-    ------
-    UserError
-        If it keeps none, or one of another version of Wavequake.
-    StoreDamageError
-        If it cannot be read.
-    """
+    """Read the budget that the folder of a store keeps; raises as `read_arrays`, also if it keeps none."""
     target = Path(path) / BUDGET
-    if not target.exists():
-        raise UserError(f"There is no budget at {target}; wavequake budget STUDY computes it.")
-    return read_dataset(target, SCHEMA)
+    absent = f"There is no budget at {target}; wavequake budget STUDY computes it."
+    return read_dataset(target, SCHEMA, absent)

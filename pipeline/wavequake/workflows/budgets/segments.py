@@ -20,6 +20,7 @@ from wavequake.mechanics.disturbances.registry import (
 )
 from wavequake.mechanics.disturbances.source import Source, time_axis_of
 from wavequake.mechanics.disturbances.streams import own_streams
+from wavequake.workflows.budgets.elements import moving_elements, only_elements, with_element
 from wavequake.workflows.budgets.factors import AGAIN, Experiment, Factor, chosen
 from wavequake.workflows.budgets.kept import LOSSES
 from wavequake.workflows.budgets.tree import SIGHT, Branch, Part, branches_of, require_free_names
@@ -115,11 +116,11 @@ def variants(
         ]
         redrawn.append(total(ringwise))
     for name in factors.surfaces:
-        without.append(_with_surface(total(one), still, name))
+        without.append(with_element(total(one), still, name))
         redrawn.append(
             total(
                 [
-                    _with_surface(first, second, name) if part.independent == "element" else first
+                    with_element(first, second, name) if part.independent == "element" else first
                     for part, first, second in zip(factors.sources, one, other, strict=True)
                 ]
             )
@@ -141,18 +142,12 @@ def _of_elements(motion: Motion, layout: SegmentLayout, mine: Set[str]) -> Motio
     """Return a motion in which some elements move alone."""
     moved = np.array([name in mine for name in layout.names], dtype=bool)[:, None]
     sight = float(SIGHT in mine)
-
-    def chosen(named: dict[str, Array]) -> dict[str, Array]:
-        return {name: values for name, values in named.items() if name in mine}
-
-    return Motion(
-        np.where(moved, motion.segment_motion, 0.0),
-        np.where(moved, motion.segment_figure, 0.0),
-        sight * motion.mount,
-        sight * motion.m2,
-        chosen(motion.rigid),
-        chosen(motion.figure),
-        chosen(motion.grid),
+    return replace(
+        only_elements(motion, mine),
+        segment_motion=np.where(moved, motion.segment_motion, 0.0),
+        segment_figure=np.where(moved, motion.segment_figure, 0.0),
+        mount=sight * motion.mount,
+        m2=sight * motion.m2,
     )
 
 
@@ -163,8 +158,7 @@ def moving_parts(drawn: Sequence[tuple[str, Motion]], layout: SegmentLayout) -> 
         bent = np.atleast_2d(motion.segment_figure.any(axis=-1)).any(axis=0)
         moved = motion.segment_motion.any(axis=(0, 2)) | bent
         found |= {(source, layout.names[place]) for place in np.flatnonzero(moved)}
-        for named in (motion.rigid, motion.figure, motion.grid):
-            found |= {(source, name) for name, values in named.items() if values.any()}
+        found |= moving_elements(source, motion)
         if motion.mount.any() or motion.m2.any():
             found.add((source, SIGHT))
     return frozenset(found)
@@ -215,17 +209,6 @@ def _with_segments(motion: Motion, other: Motion, mine: NDArray[np.bool_]) -> Mo
         segment_motion=np.where(mine[:, None], other.segment_motion, motion.segment_motion),
         segment_figure=np.where(mine[:, None], other.segment_figure, motion.segment_figure),
     )
-
-
-def _with_surface(motion: Motion, other: Motion, name: str) -> Motion:
-    """Return a motion in which one surface after M1 moves as in another."""
-
-    def chosen(mine: dict[str, Array], theirs: dict[str, Array]) -> dict[str, Array]:
-        others = {key: values for key, values in mine.items() if key != name}
-        return others | {key: values for key, values in theirs.items() if key == name}
-
-    rigid, figure = chosen(motion.rigid, other.rigid), chosen(motion.figure, other.figure)
-    return replace(motion, rigid=rigid, figure=figure)
 
 
 def moves_segments_together(source: Source, layout: SegmentLayout) -> bool:

@@ -18,6 +18,7 @@ from wavequake.mechanics.disturbances.element_motion import (
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
 from wavequake.mechanics.disturbances.registry import Combine, instants_of, parts
 from wavequake.mechanics.disturbances.source import Source
+from wavequake.workflows.budgets.elements import moving_elements, only_elements, with_element
 from wavequake.workflows.budgets.factors import AGAIN, Experiment, Factor, chosen
 from wavequake.workflows.budgets.kept import LOSSES
 from wavequake.workflows.budgets.tree import SIGHT, Branch, Part, branches_of, require_free_names
@@ -73,8 +74,8 @@ def variants(
     without = [total([sources[k] for k in indices if k != i]) for i in indices]
     redrawn = [total([again[k] if k == i else sources[k] for k in indices]) for i in indices]
     for name in elements_of(sources, layout):
-        without.append(_with_element(one, ElementMotion({}, {}, one.sight), name))
-        redrawn.append(_with_element(one, other, name))
+        without.append(with_element(one, ElementMotion({}, {}, one.sight), name))
+        redrawn.append(with_element(one, other, name))
     alone = [_alone([(part.name, total([part])) for part in sources], branch) for branch in branches]
     return [one, other, *without, *redrawn, *alone]
 
@@ -90,34 +91,18 @@ def _alone(drawn: Sequence[tuple[str, ElementMotion]], branch: Branch) -> Elemen
 
 def _of_elements(motion: ElementMotion, mine: Set[str]) -> ElementMotion:
     """Return a motion in which some elements move alone."""
-
-    def chosen(named: dict[str, Array]) -> dict[str, Array]:
-        return {name: values for name, values in named.items() if name in mine}
-
     sight = motion.sight if SIGHT in mine else np.zeros_like(motion.sight)
-    return ElementMotion(chosen(motion.rigid), chosen(motion.figure), sight, chosen(motion.grid))
+    return replace(only_elements(motion, mine), sight=sight)
 
 
 def moving_parts(drawn: Sequence[tuple[str, ElementMotion]]) -> frozenset[Part]:
     """Return which elements each of some disturbances moves."""
     found: set[Part] = set()
     for source, motion in drawn:
-        for named in (motion.rigid, motion.figure, motion.grid):
-            found |= {(source, name) for name, values in named.items() if values.any()}
+        found |= moving_elements(source, motion)
         if motion.sight.any():
             found.add((source, SIGHT))
     return frozenset(found)
-
-
-def _with_element(motion: ElementMotion, other: ElementMotion, element: str) -> ElementMotion:
-    """Return a motion in which one surface or body moves and deforms as in another."""
-
-    def chosen(mine: dict[str, Array], theirs: dict[str, Array]) -> dict[str, Array]:
-        others = {name: values for name, values in mine.items() if name != element}
-        return others | {name: values for name, values in theirs.items() if name == element}
-
-    moved, figure = chosen(motion.rigid, other.rigid), chosen(motion.figure, other.figure)
-    return ElementMotion(moved, figure, motion.sight, chosen(motion.grid, other.grid))
 
 
 def evaluate(

@@ -66,16 +66,16 @@ def _seen(image: Array, lenses: Array, kept: Sequence[int]) -> Array:
 _SIGHT = _seen(np.array([SENSITIVITIES[COMPENSATOR]]), np.ones((1, 1)), [COMPENSATOR]).T / _UM
 
 
-def _modes(bench: Bench) -> tuple[Shaken, Array]:
-    """Return the modes of a bench, and the rms that sensors see of each just after a blow, (K, modes)."""
+def _modes(bench: Bench) -> Shaken:
+    """Return the modes of a bench, by what sensors see of them just after a blow."""
     modes = bench_modes(bench)
     driven = force_column(bench) @ modes.shapes * blow_spectrum(HAMMER, modes.poles)
     size = np.abs(driven / modes.poles.imag) / np.sqrt(2.0)
     lenses = modes.shapes[: len(bench.lenses)] * size
     image = np.array(SENSITIVITIES)[bench.lenses] @ lenses
     names = tuple(f"mode {k + 1}" for k in range(len(modes.omega)))
-    shaken = Shaken(names, modes.omega / (2 * np.pi), -modes.poles.real / modes.omega)
-    return shaken, _seen(image, lenses.T, bench.lenses).T
+    zeta = -modes.poles.real / modes.omega
+    return Shaken(names, modes.omega / (2 * np.pi), zeta, _seen(image, lenses.T, bench.lenses).T)
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def asked_of(study: LensStudy, springs: str, one: Controller) -> Design:
     sensors, stage = study.sensors(one), stage_of(study)
     plain = closing.timing_of(one, sensors[0])
     timing = Timing(plain.frame, plain.integration, plain.frames, plain.latency + stage.delay)
-    shaken, seen = _modes(bench_of(study, springs))
+    shaken = _modes(bench_of(study, springs))
     watched = []
     for sensor in sensors:
         reads = sensor.readings(LIGHT, nominal=True)
@@ -158,7 +158,7 @@ def asked_of(study: LensStudy, springs: str, one: Controller) -> Design:
                 reads @ _SIGHT * stage.gain,
                 sensor.noise_rms(LIGHT) / np.sqrt(timing.frames),
                 sensor.dynamics(),
-                reads @ seen,
+                reads @ shaken.seen,
                 np.zeros((len(reads), 0)),
             )
         )

@@ -51,7 +51,7 @@ class LensStageSection(Section):
     poles: tuple[Root, ...] = Field(
         default=((-377.0, 0.0), (-360.0, 293.0), (-360.0, -293.0)), strict=False, min_length=1
     )
-    gain: float = Field(default=0.97, gt=0)
+    gain: float = Field(default=0.97, ge=1e-6, le=1e6)
     delay_ms: float = Field(default=0.0, ge=0, le=100, multiple_of=0.1)
 
 

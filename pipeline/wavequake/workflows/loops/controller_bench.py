@@ -9,6 +9,7 @@ import numpy as np
 from wavequake.control.robustness.plant import Complex, Plant, Truncated, in_units, whole_plant
 from wavequake.control.robustness.residual import open_covariance, shown_forces
 from wavequake.errors import UserError
+from wavequake.imaging.exposures.stationary import Beams, mean_coherence, mean_image
 from wavequake.mechanics.mirrors.models import (
     AnnularMirror,
     CircularMirror,
@@ -36,8 +37,11 @@ COMPARED = 60
 # resonance is small.
 _SHOWN, _BESIDE = 400, np.geomspace(0.3, 300.0, 30)
 _ABOUT = np.concatenate([-_BESIDE[::-1], [0.0], _BESIDE])
+# A sensor at the edge may be written in few digits.
+_EDGE = 1.01
 # A wavefront changes by twice the way of the mirror.
 _REFLECTED = 2.0
+_NM = 1e-9
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,10 @@ class Bench:
         Frequencies of curves, some about each mode up to twice the last that errors are looked at.
     forces : ndarray of complex, shape (f, p, p)
         What forces of these frequencies do to the wavefront, see `shown_forces`.
+    beams : Beams
+        Its optical nodes in the pupil.
+    heights : ndarray, shape (q, n)
+        Motion of these along z per modal coordinate, m.
     """
 
     study: ControllerStudy
@@ -75,6 +83,8 @@ class Bench:
     open_wavefront: float
     hertz: Array
     forces: Complex
+    beams: Beams
+    heights: Array
 
     @property
     def time_unit(self) -> float:
@@ -137,7 +147,37 @@ def bench_of(study: ControllerStudy) -> Bench:
     open_wavefront = float(np.sqrt(np.sum(gram * open_covariance(plant))))
     shapes, hertz = kept["shapes"][:, :COMPARED], _shown(study, plant)
     forces = shown_forces(plant, gram, 2 * np.pi * hertz * time_unit(study))
-    return Bench(study, full, sensors, plant, shapes, gram, figure, open_wavefront, hertz, forces)
+    return Bench(
+        study,
+        full,
+        sensors,
+        plant,
+        shapes,
+        gram,
+        figure,
+        open_wavefront,
+        hertz,
+        forces,
+        _beams(model),
+        heights,
+    )
+
+
+def _beams(model: FiniteElementModel) -> Beams:
+    places = model.nodes[model.surface_nodes, :2]
+    diameter = 2.0 * float(np.linalg.norm(places, axis=1).max())
+    return Beams(places / diameter, np.asarray(model.surface_weights / model.surface_weights.sum()))
+
+
+def exposed(bench: Bench, covariance: Array) -> Array:
+    """Return the mean image (y, x) under modal coordinates of a covariance; the middle is the Strehl ratio.
+
+    The mean exp(i phase) over piston, too, is that of differences alone, so that piston does not count.
+    """
+    section = bench.study.image
+    moved = _REFLECTED**2 * bench.heights @ covariance @ bench.heights.T
+    coherence = mean_coherence(moved, _NM * section.wavelength_nm)
+    return mean_image(bench.beams, coherence, section.angles())
 
 
 def reduced(bench: Bench, name: str) -> ReducedModel:
@@ -167,7 +207,12 @@ def scaled(study: ControllerStudy, plant: Plant) -> Plant:
 
 def _sensor_nodes(study: ControllerStudy, model: FiniteElementModel) -> Integers:
     front = model.nodes[model.surface_nodes, :2]
-    radius = study.sensors.radius_m or 0.9 * float(np.linalg.norm(front, axis=1).max())
+    reach = float(np.linalg.norm(front, axis=1).max())
+    radius = study.sensors.radius_m or 0.9 * reach
+    if radius > _EDGE * reach:
+        raise UserError(
+            f"sensors.radius_m is {radius:g}, but the mirror ends at {reach:.4g} m; its sensors stand on it."
+        )
     angles = np.radians(study.sensors.angles_deg)
     places = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     apart = np.linalg.norm(front[None] - places[:, None], axis=2)

@@ -16,12 +16,18 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.camera import frame_axes
 from wavequake.control.linear import LinearModel
 from wavequake.control.linear import in_units as model_in_units
 from wavequake.control.robustness.feedback import Loop, Pole, closed_poles, lqg, refined_pole
 from wavequake.control.robustness.margins import curves, grid, margins, truncation_share
 from wavequake.control.robustness.plant import Plant, in_units, linear, transfer
-from wavequake.control.robustness.residual import closed_covariance, closed_spectra, open_spectrum
+from wavequake.control.robustness.residual import (
+    closed_covariance,
+    closed_spectra,
+    open_covariance,
+    open_spectrum,
+)
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Integers
 from wavequake.reduction.metrics import eps_mor, mac
@@ -31,6 +37,7 @@ from wavequake.workflows.loops.controller_bench import (
     Bench,
     bench_of,
     exact_response,
+    exposed,
     reduced,
     reduced_plant,
     wavefront_grams,
@@ -235,12 +242,17 @@ def _robustness(bench: Bench, loop: Loop, omega: Array) -> Numbers:
 def _residual(bench: Bench, loop: Loop, effort: float, stable: bool) -> Numbers:
     open_loop = _NM * bench.open_wavefront
     if not stable:
-        return {"wavefront_open": open_loop, "wavefront": np.nan, "figure": np.nan, "force": np.nan}
+        lost = dict.fromkeys(("wavefront", "figure", "strehl", "force"), np.nan)
+        none = np.full((bench.study.image.pixels,) * 2, np.nan)
+        return {"wavefront_open": open_loop, "exposure": none, **lost}
     moved, forces = closed_covariance(loop, effort)
+    image = exposed(bench, moved)
     return {
         "wavefront_open": open_loop,
         "wavefront": _rms(bench.gram, moved),
         "figure": _rms(bench.figure_gram, moved),
+        "strehl": image.max(),
+        "exposure": image,
         "force": bench.study.controller.force_n * float(np.sqrt(np.trace(forces))),
     }
 
@@ -263,11 +275,7 @@ def measures(bench: Bench) -> Iterable[Measure]:
             "|dw/w| of each mode of the full model in the variant; NaN: not in it",
             ("mode",),
         ),
-        stored(
-            "shift_over_zeta",
-            "1",
-            "largest |dw/w| of the modes in the band, as a share of their damping ratio",
-        ),
+        stored("shift_over_zeta", "1", "largest |dw/w| of the modes in the band over their damping ratio"),
         stored("missing_modes", "1", "modes of the full model in the band that the variant has not"),
         stored("stable", "1", "1 where the loop with the full model is stable"),
         stored("unstable_poles", "1", "poles of that loop that do not decay"),
@@ -305,6 +313,8 @@ def measures(bench: Bench) -> Iterable[Measure]:
             "nm",
             "the same of the variant with its own controller, as a designer would see",
         ),
+        stored("strehl", "1", "peak of the long exposure of a star; 1: of a mirror that stands still"),
+        stored("exposure", "1", "that exposure, in closed form", ("y", "x")),
         stored("force", "N", "rms of the forces together"),
         stored("loop_gain", "1", "sizes of the eigenvalues of the loop gain", ("frequency", "channel")),
         stored("loop_phase", "deg", "phases of the eigenvalues of the loop gain", ("frequency", "channel")),
@@ -323,6 +333,7 @@ def axes(bench: Bench) -> Mapping[str, Axis]:
         "pole": Axis(POLES),
         "frequency": Axis(bench.hertz, "frequency", "Hz"),
         "channel": Axis(len(bench.plant.outputs)),
+        **frame_axes(bench.study.image.pixels, bench.study.image.sampling),
     }
 
 
@@ -331,7 +342,9 @@ def fixed(bench: Bench) -> dict[str, Any]:
     count = bench.shapes.shape[1]
     open_psd = _NM**2 * bench.time_unit * open_spectrum(bench.forces)
     words = {"units": "nm^2/Hz", "long_name": "wavefront by the forces without a controller, one-sided"}
+    image = {"units": "1", "long_name": "long exposure of a star without a controller"}
     return {
+        "open_exposure": (("y", "x"), exposed(bench, open_covariance(bench.plant)), image),
         "open_psd": (("frequency",), open_psd, words),
         "mode_hz": (("mode",), bench_frequencies(bench)[:count], {"units": "Hz", "long_name": "frequency"}),
         "mode_zeta": (("mode",), _zeta(bench)[:count], {"units": "1", "long_name": "damping ratio"}),

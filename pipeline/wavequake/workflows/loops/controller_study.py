@@ -2,11 +2,15 @@
 
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study
 from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
 from wavequake.workflows.mirrors.study import VariantsSection
+
+_LEAST = 1e-12  # of efforts
 
 
 class SupportedModelSection(Section):
@@ -66,16 +70,20 @@ class RegulatorSection(Section):
     )
     frequency_hz: float = Field(default=50.0, gt=0, description="1/(2 pi frequency_hz) is the unit of time")
     force_n: float = Field(
-        default=5e-3, gt=0, description="unit of force; white forces of unit density shake every actuator"
+        default=5e-3,
+        ge=1e-15,
+        le=1e15,
+        description="unit of force; white forces of unit density shake every actuator",
     )
-    length_m: float = Field(default=1e-9, gt=0, description="unit of readings")
+    length_m: float = Field(default=1e-9, ge=1e-15, le=1e15, description="unit of readings")
 
     @field_validator("effort")
     @classmethod
     def _efforts_are_positive(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if min(value) <= 0:
+        if wrong := [one for one in value if not _LEAST <= one <= 1 / _LEAST]:
             raise ValueError(
-                f"an effort is {min(value):g}; forces must cost something: give positive numbers"
+                f"an effort is {wrong[0]:g}; forces must cost something: give numbers from {_LEAST:g} to "
+                f"{1 / _LEAST:g}"
             )
         if len(set(value)) < len(value):
             raise ValueError("an effort is listed twice")
@@ -110,6 +118,18 @@ class ControllerCriterionSection(Section):
     peak: float = Field(default=4.0, gt=1, description="at most so large is the peak of its sensitivity")
 
 
+class ExposedSection(Section):
+    """The long exposure of a star that the mirror alone reflects."""
+
+    wavelength_nm: float = Field(default=550.0, ge=1, le=1e6)
+    pixels: int = Field(default=32, ge=8, le=64, description="along one side")
+    sampling: float = Field(default=0.25, gt=0, le=2, description="of a pixel, wavelengths over diameters")
+
+    def angles(self) -> NDArray[np.float64]:
+        """Return where pixels are along one side, in wavelengths over diameters."""
+        return np.asarray(self.sampling * (np.arange(self.pixels) - self.pixels // 2), dtype=np.float64)
+
+
 class ControllerCampaignSection(CampaignSection):
     """How much of the study to run, and on which device; not part of its identity."""
 
@@ -130,6 +150,7 @@ class ControllerStudy(Study):
     controller: RegulatorSection = RegulatorSection()
     reduction: JudgedVariantsSection
     criterion: ControllerCriterionSection = ControllerCriterionSection()
+    image: ExposedSection = ExposedSection()
     campaign: ControllerCampaignSection = ControllerCampaignSection()
     store: ControllerStoreSection = ControllerStoreSection()
 

@@ -33,8 +33,9 @@ class MirrorSection(Section):
     @field_validator("actuator_angles_deg")
     @classmethod
     def _actuators_are_apart(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
-        if len({one % 360 for one in value}) < 3:
-            raise ValueError("three actuators need three angles")
+        first, second, third = sorted(one % 360 for one in value)
+        if min(second - first, third - second, 360 + first - third) < 1:
+            raise ValueError("three actuators need three angles, 1 deg or more apart")
         return value
 
 
@@ -57,7 +58,7 @@ class ControlSection(Section):
 
     rate_hz: float = Field(default=50.0, gt=0, le=1e5, description="frames and commands per second")
     latency_frames: float = Field(
-        default=1.0, ge=0, le=100, description="from the end of a frame to its command; any fraction"
+        default=1.0, ge=0, le=10, description="from the end of a frame to its command; any fraction"
     )
     bandwidths_hz: tuple[float, ...] = Field(
         default=(0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4, 2.0),

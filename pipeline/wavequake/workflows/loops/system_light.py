@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from wavequake.chain.loops.answers import Answer
 from wavequake.chain.loops.block import Actuator
+from wavequake.chain.loops.design import Shaken
 from wavequake.chain.loops.designed import Designed
 from wavequake.chain.loops.light import Light
-from wavequake.chain.loops.structure import Carrying
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
 from wavequake.mechanics.assembly.answers import moved as split_outputs
@@ -19,6 +20,7 @@ from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.workflows.bodies.nodes import moved_nodes, node_columns, with_nodes
+from wavequake.workflows.bodies.shaken import shaken_bodies
 from wavequake.workflows.loops.pushing import pushing_of
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.study import FULL
@@ -75,6 +77,8 @@ class SystemOptics:
     sights : dict of ndarray, shape (K, p)
     times : tuple of Times or None
         Of each population that has cases.
+    shaken : Shaken or None
+        Modes of bodies that controllers expect.
     answers : tuple of Answer
         Bodies with mass that stages push.
     pushed : ndarray, shape (m, M), or None
@@ -87,7 +91,7 @@ class SystemOptics:
     gain: Array
     sights: Mapping[str, Array]
     times: tuple[Times | None, ...]
-    structure: Carrying | None = None
+    shaken: Shaken | None = None
     answers: tuple[Answer, ...] = ()
     pushed: Array | None = None
 
@@ -143,12 +147,15 @@ def optics_of(study: SystemLoopStudy) -> SystemOptics:
     bare = SystemOptics(bench, light, mm, gain, {}, ())
     sights = {one.name: _sight(bare, one) for one in study.actuator}
     times = tuple(_times(study, bare, entry) if entry.share else None for entry in study.disturbance)
-    pushing = pushing_of(study, bench, light)
+    shaken, pushing = None, pushing_of(study, bench, light)
+    if plant is not None and any(one.asks_modes for one in study.controller):
+        known = bench.study.disturbance
+        shaken = shaken_bodies(known, plant, study.study.seed, partial(_shown, bare))
     if pushing is None:
-        return SystemOptics(bench, light, mm, gain, sights, times)
+        return SystemOptics(bench, light, mm, gain, sights, times, shaken)
     shown = _shown(bare, pushing.outputs)
     answer = Answer(pushing.names, pushing.dynamics, None, shown, pushing.drives)
-    return SystemOptics(bench, light, mm, gain, sights, times, None, (answer,), pushing.outputs)
+    return SystemOptics(bench, light, mm, gain, sights, times, shaken, (answer,), pushing.outputs)
 
 
 def _shown(optics: SystemOptics, outputs: Array) -> Array:

@@ -18,7 +18,7 @@ from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import noise_of, seen
 from wavequake.chain.loops.answers import dynamics_of
-from wavequake.chain.loops.designed import Designed, readings_of
+from wavequake.chain.loops.designed import Designed, design_notices, readings_of
 from wavequake.chain.loops.judged import judged_loops
 from wavequake.control.linear import Array
 from wavequake.control.sampled.run import run
@@ -252,6 +252,8 @@ def notices(study: SystemLoopStudy) -> Iterator[str]:
     """Yield what is to say of the system."""
     yield from system_disturbance.notices(study.disturbed)
     yield from pushing_notices(study)
+    if any(one.asks_modes for one in study.controller):
+        yield from design_notices(study, optics_of(study))
 
 
 KIND = study_kind(

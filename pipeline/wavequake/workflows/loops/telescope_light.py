@@ -10,6 +10,7 @@ from wavequake.chain.loops.actuators.m2_figure import MM_PER_NM
 from wavequake.chain.loops.actuators.segments import SegmentActuators
 from wavequake.chain.loops.answers import Answer, OwnModes, Put
 from wavequake.chain.loops.block import ACTUATORS, Actuator
+from wavequake.chain.loops.design import Shaken, all_shaken
 from wavequake.chain.loops.light import Light
 from wavequake.chain.loops.reaction import Pushing
 from wavequake.chain.loops.structure import UNITS, Carrying, carrying, node_names
@@ -24,13 +25,12 @@ from wavequake.optics.derivatives.central import DOFS, SIGNS, checked_derivative
 from wavequake.optics.segments import modal
 from wavequake.optics.segments.modal import ModalModel, layout_of
 from wavequake.optics.segments.telescope import M2
-from wavequake.optics.systems.bodies import rigid_body
 from wavequake.optics.systems.kinematics import rest_states
-from wavequake.optics.systems.system import OpticalSystem, States
+from wavequake.optics.systems.system import States
 from wavequake.prepared import prepared
-from wavequake.workflows.bodies.made import transported
 from wavequake.workflows.bodies.nodes import moved_nodes, node_columns, with_nodes
-from wavequake.workflows.bodies.stages import movable_bodies, stages_push
+from wavequake.workflows.bodies.shaken import shaken_bodies
+from wavequake.workflows.bodies.stages import movable_bodies, movable_surfaces, stages_push
 from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, trace
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
@@ -46,6 +46,7 @@ _SLIGHT = 1e-8
 # Half widths of central differences of surfaces: M2 as a body, others, which may be in slow beams, figures.
 _M2, _OTHERS, _FIGURE = 1e3, 2e4, 10.0
 _UNSEEN = 0.1  # mas or nm at such a half width: what light shows less is not asked for digits
+_ROUNDED = 1e-5  # mas or nm: what light shows by rounding of paths of tens of meters
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,8 @@ class Optics:
         Light per Noll coefficient (nm) of surfaces that anything but actuators bends.
     structure : Carrying or None
         As disturbances move it.
+    shaken : Shaken or None
+        Modes that controllers may expect.
     answers : tuple of Answer
         Modes of the structure, of bodies, then of actuators that bend, as actuators move them.
     times : tuple of ndarray, shape (1 + n,)
@@ -80,6 +83,7 @@ class Optics:
     moved: dict[int, Array]
     bent: dict[int, Array]
     structure: Carrying | None
+    shaken: Shaken | None
     answers: tuple[Answer, ...]
     times: tuple[Array, ...]
 
@@ -120,8 +124,14 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
             moves = _moved_bodies(control, light, one), moved_nodes(one, bench.bodies.optical, light)
             sights[one.name] = np.vstack([sights[one.name], *moves])
     structure = carrying(study.mode, light.layout) if study.mode else None
-    optics = Optics(control, model, light, sights, moved, deformed, structure, (), times)
-    answers = [] if structure is None else [_of_structure(text, optics, structure)]
+    optics = Optics(control, model, light, sights, moved, deformed, structure, None, (), times)
+    answers, shaken = [], []
+    if structure is not None:
+        answers.append(_of_structure(text, optics, structure))
+        shaken.append(structure.expected(answers[0].shown))
+    if plant is not None and any(one.asks_modes for one in study.controller):
+        seen_by = partial(_shown, optics)
+        shaken.append(shaken_bodies(study.disturbance, plant, study.study.seed, seen_by))
     if (pushing := stages_push(study.actuator, bench, light, plant)) is not None:
         answers.append(_of_bodies(optics, pushing))
     for one in study.actuator:
@@ -130,7 +140,7 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
             seen = np.zeros((len(light), len(modes.names)))
             seen[: light.optical] = _sight(text, json.dumps(one.model_dump(), sort_keys=True), True)
             answers.append(Answer(modes.names, modes.dynamics, modes.put, seen, {one.name: modes.drives}))
-    return replace(optics, answers=tuple(answers))
+    return replace(optics, shaken=all_shaken(shaken), answers=tuple(answers))
 
 
 def _moving(study: TelescopeLoopStudy, bench: Bench, light: Light) -> tuple[list[int], list[int]]:
@@ -153,22 +163,30 @@ def _moving(study: TelescopeLoopStudy, bench: Bench, light: Light) -> tuple[list
 
 def _of_bodies(optics: Optics, pushing: Pushing) -> Answer:
     """Return how bodies with mass answer the stages that push them."""
-    bench, layout = optics.control.bench, optics.light.layout
-
-    def motion(positions: Array) -> Motion:
-        assert layout.plant is not None
-        rigid, figure = split_outputs(layout.plant, positions @ pushing.outputs.T)
-        return on_elements(still(len(positions), len(layout), rigid=rigid, figure=figure), layout)
+    bench = optics.control.bench
 
     def put(states: States, positions: Array) -> None:
-        here, moved = slice(0, len(positions)), motion(positions)
+        here, moved = slice(0, len(positions)), _carried_by(optics, positions @ pushing.outputs.T)
         states.segment_motion[here] += moved.segment_motion * np.repeat([MM_PER_M, 1.0], 3)
         add_surfaces(states, here, bench, moved, here)
 
-    sizes = np.abs(pushing.outputs).max(axis=0, initial=0.0)
+    shown = _shown(optics, pushing.outputs)
+    return Answer(pushing.names, pushing.dynamics, put, shown, pushing.drives)
+
+
+def _carried_by(optics: Optics, outputs: Array) -> Motion:
+    """Return the motion of elements that outputs (n, m) of the plant are."""
+    layout = optics.light.layout
+    assert layout.plant is not None
+    rigid, figure = split_outputs(layout.plant, outputs)
+    return on_elements(still(len(outputs), len(layout), rigid=rigid, figure=figure), layout)
+
+
+def _shown(optics: Optics, outputs: Array) -> Array:
+    """Return what is seen per mode that moves outputs of the plant (m, M)."""
+    sizes = np.abs(outputs).max(axis=0, initial=0.0)
     units = _SLIGHT / np.where(sizes > 0.0, sizes, 1.0)
-    shown = _seen(optics, motion(np.diag(units))).T / units
-    return Answer(pushing.names, pushing.dynamics, put, np.ascontiguousarray(shown), pushing.drives)
+    return np.ascontiguousarray(_seen(optics, _carried_by(optics, (outputs * units).T)).T / units)
 
 
 def _of_structure(text: str, optics: Optics, structure: Carrying) -> Answer:
@@ -211,25 +229,10 @@ def _telescope(text: str, dofs: tuple[int, ...]) -> tuple[ControlBench, ModalMod
         control.prepared.system.pupil.obscuration,
         bench.system.annulus.outer,
         bench.layout,
-        movable=_movable(bench.system) | movable_bodies(bench),
+        movable=movable_surfaces(bench.system) | movable_bodies(bench),
         wavelength_nm=control.study.optics.wavelength_nm,
     )
     return control, model, light
-
-
-def _movable(system: OpticalSystem) -> dict[str, Array]:
-    """Return the motions of surfaces (6, L, 6) per motion of each surface after M1, and of each body."""
-    after = [one.name for one in system.after_primary]
-    found = {name: np.zeros((6, len(system.surfaces), 6)) for name in (*after, *system.bodies)}
-    for place, name in enumerate(after, start=M2):
-        found[name][:, place] = np.eye(6)
-    for name, surfaces in system.bodies.items():
-        body = rigid_body(system, name, surfaces)
-        axes = np.asarray(np.kron(np.eye(2), body.rotation), dtype=np.float64)
-        for place in body.surfaces:
-            one = system.surfaces[place]
-            found[name][:, place] = transported(axes, body.point, one.rotation, one.position).T
-    return found
 
 
 @prepared(maxsize=8)
@@ -292,9 +295,10 @@ def _traced_sight(control: ControlBench, what: str, step: float, p: int, put: Pu
     states = states_at_rest(control.bench, padded(4 * p))
     put(states, np.concatenate([factor * step * np.eye(p) for factor in SIGNS]))
     found = trace(control.prepared, states, choose_device("numpy"))[1]
-    values = np.hstack([found.los * to_mas, found.zernike[:, 3:] * to_nm])[: 4 * p]
+    values = np.hstack([found.los * to_mas, found.zernike[:, 3:] * to_nm])[: 4 * p].reshape(4, p, -1)
+    moves = ~(np.ptp(values, axis=0).max(axis=1) <= _ROUNDED)
     slopes = checked_derivative(
-        values.reshape(4, p, -1), step, what, "use other optics.rays", least=_UNSEEN / step
+        values * moves[:, None], step, what, "use other optics.rays", least=_UNSEEN / step
     )
     return np.ascontiguousarray(slopes.T)
 

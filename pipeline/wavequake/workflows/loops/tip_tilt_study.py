@@ -14,8 +14,8 @@ class ShakenSection(Section):
     lines: Literal["vlt-eris", "keck", "elt-windshake-8ms", "none"] = Field(
         default="vlt-eris", description="set of vibration lines (docs/systems.md); those along the motion"
     )
-    lines_mas: float = Field(default=10.0, gt=0, description="rms of the lines together")
-    fwhm_hz: float = Field(default=0.2, gt=0, le=2.0, description="width of the lines of a set")
+    lines_mas: float = Field(default=10.0, gt=0, le=1e9, description="rms of the lines together")
+    fwhm_hz: float = Field(default=0.2, ge=0.01, le=2.0, description="width of the lines of a set")
 
     @model_validator(mode="after")
     def _something_moves(self) -> "ShakenSection":
@@ -40,7 +40,7 @@ class LoopSection(Section):
         default=2, ge=1, le=10, description="1: what a frame shows acts in the next one"
     )
     gain: float | None = Field(default=None, gt=0, description="of the integrator; default: the best one")
-    noise_mas: float = Field(default=5.0, gt=0, description="of the sensor, per frame")
+    noise_mas: float = Field(default=5.0, gt=0, le=1e9, description="of the sensor, per frame")
     lines_off: float = Field(
         default=0.0,
         gt=-0.5,
@@ -53,6 +53,15 @@ class LoopSection(Section):
     def _rates_are_positive(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if wrong := [rate for rate in value if not 0.0 < rate <= _FASTEST_HZ]:
             raise ValueError(f"a rate is {wrong[0]:g} Hz; it must be positive and at most {_FASTEST_HZ:g} Hz")
+        if len(set(value)) < len(value):
+            raise ValueError("a rate is listed twice")
+        return value
+
+    @field_validator("controllers")
+    @classmethod
+    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(value)) < len(value):
+            raise ValueError("a controller is listed twice")
         return value
 
 

@@ -97,14 +97,37 @@ def rms_of(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(np.sum(values**2, axis=-1), axis=0)))
 
 
-def reduction_measures(place: str) -> Iterator[Measure]:
-    """Yield what stores of reduced models hold of each: its size, and its receptance at a `place`."""
+def variant_measures() -> Iterator[Measure]:
+    """Yield what stores of variants of a model hold of each: its size, and what images are measured by."""
     yield stored("order", "1", "number of coordinates of the variant")
-    yield stored("reduce_seconds", "s", "time of the reduction", measured=True)
     yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
+    words = "lambda/D in the image: wavelength times focal length over diameter"
+    yield stored("resolution_mm", "mm", words)
+
+
+def reduction_measures(place: str) -> Iterator[Measure]:
+    """Yield what stores hold of variants beside their reference: receptance at a `place`, image, errors."""
+    yield from variant_measures()
+    yield stored("reduce_seconds", "s", "time of the reduction", measured=True)
     spectrum = ("frequency",)
     yield stored("frf_mech", "m/N", f"Frobenius norm of the receptance at the {place}", spectrum)
     yield stored("eps_mech", "1", "relative error of the receptance (Störkle 2018, Eq. 2.10)", spectrum)
+    words = "distance from the reference's line of sight"
+    yield stored("los_error", "mm", words, ("excitation", "time"))
+    words = "mean of the instants' images; 1 = peak of the perfect one"
+    yield stored("exposure", "1", words, ("excitation", "y", "x"))
+    yield stored("image_error", "1", "L2 norm of the difference of unit-energy exposures", ("excitation",))
+
+
+def image_error(images: Array, reference: Array) -> Array:
+    """Return the L2 norms of the differences of unit-energy images (excitation, y, x), (excitation,)."""
+    one, two = (part / part.sum(axis=(1, 2), keepdims=True) for part in (images, reference))
+    return np.asarray(np.sqrt(np.sum((one - two) ** 2, axis=(1, 2))))
+
+
+def wavefront_rms(aberrations: Array) -> Array:
+    """Return the rms of the Noll terms j >= 4 of (..., 2 + J): the root of the sum of their squares."""
+    return np.asarray(np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1)))
 
 
 def checked_models(names: Sequence[str], checks: Sequence[tuple[Array, Array]]) -> dict[str, Fixed]:

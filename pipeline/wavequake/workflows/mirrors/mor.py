@@ -43,7 +43,12 @@ from wavequake.workflows.mirrors.bench import (
     time_of,
     variant_of,
 )
-from wavequake.workflows.mirrors.compared_models import checked_models, reduction_measures
+from wavequake.workflows.mirrors.compared_models import (
+    checked_models,
+    image_error,
+    reduction_measures,
+    wavefront_rms,
+)
 from wavequake.workflows.mirrors.optics import Optics, figure_rows, mode_residuals, optical_rows
 from wavequake.workflows.mirrors.shapes import (
     MOST_TERMS,
@@ -92,7 +97,7 @@ def judged(
     aberrations, node, shapes = over_time(
         study, reduced, rows, node_row(reduced), figure_rows(optics, reduced)
     )
-    peaks = _wavefront_error(answers.aberrations).argmax(axis=1)
+    peaks = wavefront_rms(answers.aberrations).argmax(axis=1)
     figures, wavefronts = mode_shapes(optics, reduced)
     apart = aberrations - answers.aberrations
     images = exposures(study, optics, aberrations, device)
@@ -111,13 +116,13 @@ def judged(
         "mac": _mac(answers.reference, reduced),
         "mode_frequency": _padded(pseudo_frequencies(reduced), MODES),
         "fit_residual": _padded(mode_residuals(optics, reduced), FITTED_MODES),
-        "wfe_rms": _wavefront_error(aberrations),
-        "wfe_error": _wavefront_error(apart),
+        "wfe_rms": wavefront_rms(aberrations),
+        "wfe_error": wavefront_rms(apart),
         "los_mm": aberrations[..., :2],
         "los_error": np.linalg.norm(apart[..., :2], axis=2),
         "resolution_mm": optics.resolution,
         "exposure": images,
-        "image_error": _image_error(images, reference_exposures(study, bench, answers, device)),
+        "image_error": image_error(images, reference_exposures(study, bench, answers, device)),
         "obscuration": optics.obscuration,
         "mode_figure": _padded(figures, SHOWN_MODES, terms_of(study)),
         "mode_wavefront": _padded(wavefronts, SHOWN_MODES, terms_of(study)),
@@ -133,12 +138,6 @@ def judged(
 def terms_of(study: MirrorStudy) -> int:
     """Return for how many Noll terms the shapes of all models have room."""
     return study.optics.zernike_terms or MOST_TERMS
-
-
-def _wavefront_error(aberrations: Array) -> Array:
-    """Return the rms of the Zernike terms j >= 4, which is the root of the sum of their squares."""
-    rms: Array = np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1))
-    return rms
 
 
 def _padded(values: Array, *shape: int) -> Array:
@@ -190,12 +189,6 @@ def reference_exposures(study: MirrorStudy, bench: Bench, answers: Answers, devi
     return _REFERENCES[key]
 
 
-def _image_error(images: Array, reference: Array) -> Array:
-    """Return the L2 norms of the differences of unit-energy images, (excitation,)."""
-    one, two = (part / part.sum(axis=(1, 2), keepdims=True) for part in (images, reference))
-    return np.asarray(np.sqrt(np.sum((one - two) ** 2, axis=(1, 2))))
-
-
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_of(study_text)
@@ -223,12 +216,6 @@ def _measures() -> Iterator[Measure]:
     yield stored("wfe_error", "nm", words, history)
     words = "line of sight in the image (Störkle 2018, Eq. 3.39)"
     yield stored("los_mm", "mm", words, (*history, "axis"))
-    yield stored("los_error", "mm", "distance from the reference's line of sight", history)
-    words = "mean of the instants' images; 1 = peak of the perfect one"
-    yield stored("exposure", "1", words, ("excitation", "y", "x"))
-    words = "lambda/D in the image: wavelength times focal length over diameter"
-    yield stored("resolution_mm", "mm", words)
-    yield stored("image_error", "1", "L2 norm of the difference of unit-energy exposures", ("excitation",))
     yield stored("obscuration", "1", "inner over outer radius of the pupil")
     shapes, peaks = ("elastic_mode", "term"), ("excitation", "term")
     words = "Noll coefficients of modes on the mirror, heights of rms 1"

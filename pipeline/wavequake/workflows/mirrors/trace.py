@@ -40,6 +40,7 @@ from wavequake.workflows.mirrors.bench import (
     trace_study_of,
     variant_of,
 )
+from wavequake.workflows.mirrors.compared_models import variant_measures, wavefront_rms
 from wavequake.workflows.mirrors.optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 from wavequake.workflows.mirrors.residual import (
     Residual,
@@ -155,22 +156,16 @@ def compared(
     linear = trace_figures(optics, coordinates @ motion.linear, coordinates, device, Stopwatch(), residual)
     apart = traced.aberrations - summed
     return {
-        "wfe_rms_standard": _wfe(traced.aberrations),
-        "wfe_rms_modal": _wfe(summed),
+        "wfe_rms_standard": wavefront_rms(traced.aberrations),
+        "wfe_rms_modal": wavefront_rms(summed),
         "wfe_rms_raw": traced.rms_raw,
-        "wfe_difference": _wfe(apart),
-        "wfe_difference_sag": _wfe(traced.aberrations - linear.aberrations),
-        "wfe_difference_optics": _wfe(linear.aberrations - summed),
+        "wfe_difference": wavefront_rms(apart),
+        "wfe_difference_sag": wavefront_rms(traced.aberrations - linear.aberrations),
+        "wfe_difference_optics": wavefront_rms(linear.aberrations - summed),
         "los_standard": traced.aberrations[:, :2],
         "los_modal": summed[:, :2],
         "los_difference": np.linalg.norm(apart[:, :2], axis=1),
     }
-
-
-def _wfe(aberrations: Array) -> Array:
-    """Return the rms of the Zernike terms j >= 4, which is the root of the sum of their squares."""
-    rms: Array = np.sqrt(np.sum(aberrations[:, 5:] ** 2, axis=1))
-    return rms
 
 
 def standard_method(
@@ -262,10 +257,7 @@ def modal_method(
 
 def _measures() -> Iterator[Measure]:
     history = ("excitation", "time")
-    yield stored("order", "1", "number of coordinates of the variant")
-    yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
-    words = "lambda/D in the image: wavelength times focal length over diameter"
-    yield stored("resolution_mm", "mm", words)
+    yield from variant_measures()
     words = "wavefront error rms of the fitted Zernikes j >= 4, every ray traced"
     yield stored("wfe_rms_standard", "nm", words, history)
     yield stored("wfe_rms_modal", "nm", "the same by sensitivities of modes", history)

@@ -30,9 +30,9 @@ _LONGEST_S = 1e8  # that clocks of all systems count
 _CHUNK_S = (2.0, 10.0)
 # What a plan does once it knows so much, the last first.
 _STEPS = {
-    "store": "a case of the pilot runs",
-    "device": "what all cases share is prepared",
-    "study": "the device is tested",
+    "store": "running first cases",
+    "device": "preparing what all cases share",
+    "study": "testing the device",
 }
 
 
@@ -83,7 +83,7 @@ def planned(
     def late() -> dict[str, str]:
         so_far, spent = dict(known), lasting(time.perf_counter() - begun)
         still = next(words for name, words in _STEPS.items() if name in so_far)
-        words = f"{still} still after {spent}; --wait (Python: no seconds) waits"
+        words = f"{still} was not done after {spent}; --wait (Python: no seconds) waits for it"
         before = known_times(study, study.folder(store))
         told = f"{before.words(study.cases)}; {words}" if before else _without_times(study, words)
         return _said(so_far | {"estimate": told})

@@ -40,12 +40,6 @@ CANVAS = 2
 _MM_PER_UM = 1e-3
 
 
-def image_axis(bench: Bench) -> Array:
-    """Return the pixel centers of an image's axis in lambda/D."""
-    imaging = bench.study.imaging
-    return np.asarray((np.arange(imaging.pixels) - imaging.pixels // 2) * imaging.sampling, dtype=np.float64)
-
-
 def by_rays(bench: Bench) -> bool:
     """Return whether all images are sums over rays.
 

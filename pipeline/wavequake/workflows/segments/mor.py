@@ -27,6 +27,7 @@ from wavequake.prepared import prepared
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import check_variants
+from wavequake.workflows.mirrors.compared_models import image_error
 from wavequake.workflows.mirrors.segment_body import NM_PER_MM, height_rows
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
@@ -90,7 +91,7 @@ def judged(
         **{name: value for name, value in seen.items() if name != "opd"},
         "wfe_error": _apart(model.bench.prepared, seen["opd"], truth[1]["opd"], seen["wfe_rms"].shape[1]),
         "los_error": np.linalg.norm(seen["los_mm"] - truth[1]["los_mm"], axis=2),
-        "image_error": _image_error(seen["exposure"], truth[1]["exposure"]),
+        "image_error": image_error(seen["exposure"], truth[1]["exposure"]),
         "resolution_mm": resolution(model.bench),
     }
 
@@ -225,12 +226,6 @@ def _apart(prepared: PreparedTrace, opd: Array, reference: Array, instants: int)
     return np.stack([_rms(prepared, part)[:instants] for part in opd - reference])
 
 
-def _image_error(images: Array, reference: Array) -> Array:
-    """Return the L2 norms of the differences of unit-energy images, (excitation,)."""
-    one, two = (part / part.sum(axis=(1, 2), keepdims=True) for part in (images, reference))
-    return np.asarray(np.sqrt(np.sum((one - two) ** 2, axis=(1, 2))))
-
-
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
     """Return the labels of cases first <= id < last: what is shaken, variant, method and seed.
 
@@ -263,9 +258,8 @@ def check(study_text: str) -> None:
     """Raise UserError where telescope, segment, variants or excitations do not fit."""
     study, model = study_of(study_text), model_of(study_text)
     check_variants(model.stage, study.reduction.variants)
-    for disturbed in study.segments.disturbed:
-        first = chosen_segments(study, model.bench, disturbed)[:1].tolist()
-        motions(study, model, model.reference, first)
+    firsts = {int(chosen_segments(study, model.bench, one)[0]) for one in study.segments.disturbed}
+    motions(study, model, model.reference, sorted(firsts))
 
 
 KIND = StudyKind("segment-mor", template, case_table, compute, describe, check=check, model=SegmentMorStudy)

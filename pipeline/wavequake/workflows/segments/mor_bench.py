@@ -36,9 +36,6 @@ Array = NDArray[np.float64]
 MM_PER_M = 1e3
 # Segments whose responses are held at once.
 _BLOCK = 32
-# How far a corner may stand off its place of a regular hexagon: segments of a curved mirror are not regular.
-_SKEW_DEG = 3.0
-_MOUNTS = 0.6
 
 
 @dataclass(frozen=True)

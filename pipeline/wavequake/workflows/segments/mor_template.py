@@ -44,13 +44,7 @@ def _measures() -> Iterator[Measure]:
     yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", history)
     words = "line of sight relative to rest, in the image (Störkle 2018, Eq. 3.39)"
     yield stored("los_mm", "mm", words, (*history, "axis"))
-    yield stored("los_error", "mm", "distance from the reference's line of sight", history)
     words = "rms over the shaken segments of the rigid displacement along their normals"
     yield stored("segment_piston_rms", "nm", words, history)
     words = "rms over the shaken segments of the root of the sum of squares of their figure's coefficients"
     yield stored("segment_figure_rms", "nm", words, history)
-    words = "mean of the instants' images; 1 = peak of the perfect one"
-    yield stored("exposure", "1", words, ("excitation", "y", "x"))
-    yield stored("image_error", "1", "L2 norm of the difference of unit-energy exposures", ("excitation",))
-    words = "lambda/D in the image: wavelength times focal length over diameter"
-    yield stored("resolution_mm", "mm", words)

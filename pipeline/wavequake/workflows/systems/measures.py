@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measures import Axis, Measure, stored
@@ -16,8 +15,6 @@ from wavequake.workflows.systems.bench import NM_PER_MM, SystemBench, field_name
 from wavequake.workflows.systems.measure import shaped, wavefront_numbers
 from wavequake.workflows.systems.modal import TRACED_ONLY, modal_measures
 from wavequake.workflows.systems.study import SystemStudy
-
-Array = NDArray[np.float64]
 
 _OVER = ("time", "field", "wavelength")
 _BASES = {

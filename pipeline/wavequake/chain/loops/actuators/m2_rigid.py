@@ -1,17 +1,19 @@
 """A hexapod or tip-tilt stage that moves M2 as a rigid body."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from wavequake.chain.loops.block import Actuator, register
+from wavequake.chain.loops.block import Actuator, each_once, register
 from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.structure import Dof
 from wavequake.optics.derivatives.central import DOFS
 from wavequake.optics.segments.telescope import M2
 from wavequake.optics.systems.system import States
 
+Dofs = Annotated[tuple[Dof, ...], AfterValidator(each_once)]
 # nm and nrad to mm and rad.
 UNITS = np.repeat([1e-6, 1e-9], 3)
 
@@ -23,7 +25,7 @@ class RigidM2(Actuator):
     step = 1000.0
 
     model: Literal["m2-rigid"] = "m2-rigid"
-    dofs: tuple[Literal["dx", "dy", "dz", "rx", "ry", "rz"], ...] = Field(
+    dofs: Dofs = Field(
         default=("rx", "ry"), min_length=1, strict=False, description="of dx, dy, dz, rx, ry, rz"
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.chain.loops.actuators.m2_rigid import UNITS
+from wavequake.chain.loops.actuators.m2_rigid import UNITS, Dofs
 from wavequake.chain.loops.block import Actuator, register
 from wavequake.chain.loops.light import Light
 from wavequake.errors import UserError
@@ -27,7 +27,7 @@ class Stage(Actuator):
 
     model: Literal["optic"] = "optic"
     of: str = Field(description="name of the surface or body, as M3, camera lens or image")
-    dofs: tuple[Literal["dx", "dy", "dz", "rx", "ry", "rz"], ...] = Field(
+    dofs: Dofs = Field(
         default=("dx", "dy"), min_length=1, strict=False, description="of dx, dy, dz, rx, ry, rz"
     )
     mass_kg: float | None = Field(

@@ -1,12 +1,12 @@
 """Actuators of the segments of M1."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from wavequake.chain.loops.block import Actuator, register
+from wavequake.chain.loops.block import Actuator, each_once, register
 from wavequake.chain.loops.light import Light
 from wavequake.control.sampled.channel import Dynamics, in_series, second_order
 from wavequake.optics.derivatives.central import DOFS
@@ -23,7 +23,7 @@ class SegmentActuators(Actuator):
     """
 
     model: Literal["segments"] = "segments"
-    dofs: tuple[Literal["dz", "rx", "ry"], ...] = Field(
+    dofs: Annotated[tuple[Literal["dz", "rx", "ry"], ...], AfterValidator(each_once)] = Field(
         default=("dz",), min_length=1, strict=False, description="of dz, rx, ry"
     )
     stiffness_n_um: float | None = Field(

@@ -22,6 +22,11 @@ Array = NDArray[np.float64]
 _SHARPEST = 1e-4
 # Modes that are seen less than this share of the largest one are not expected.
 _SEEN = 1e-6
+# Modes that are named one by one.
+_SAID = 4
+
+
+NO_MODES = "there is neither a [[mode]] block nor a [[body]] with mass."
 
 
 class LineSection(Section):
@@ -50,7 +55,8 @@ class Expecting(Controller):
 
     lines: tuple[LineSection, ...] = Field(default=(), strict=False)
     structure: bool = Field(
-        default=False, description="the [[mode]] blocks that are shaken are expected, too, as they are"
+        default=False,
+        description="modes of [[mode]] blocks and of bodies are expected, too, as they are shaken",
     )
     drift_rms: float = Field(default=0.0, ge=0, le=1e15, description="of first-order noise, in that unit")
     drift_hz: float = Field(default=0.1, ge=1e-6, le=1e4, description="its corner")
@@ -67,6 +73,11 @@ class Expecting(Controller):
             raise ValueError(f"{self.name!r} expects no disturbance; give lines, drift_rms or structure")
         return self
 
+    @property
+    def asks_modes(self) -> bool:
+        """Whether it expects those of the structure."""
+        return self.structure
+
     def told(self) -> list[Shaped]:
         """Return lines and drift."""
         parts = [line(one.hz, one.fwhm_hz, one.rms) for one in self.lines]
@@ -79,11 +90,14 @@ class Expecting(Controller):
         sizes = self.sizes(asked)
         most = sizes.max(initial=0.0)
         names = " and ".join(repr(one.sensor) for one in (asked.watched if self.fuses else asked.watched[:1]))
-        for k in np.flatnonzero(~self.expects(sizes)):
+        hidden = np.flatnonzero(~self.expects(sizes))
+        where = f"controller.{self.name}.structure"
+        for k in hidden[:_SAID]:
             mode = f"{asked.shaken.names[k]!r} ({asked.shaken.hertz[k]:.4g} Hz)"
             how = f"{sizes[k] / most:.0e} of what it sees most" if sizes[k] else "not at all"
-            where = f"controller.{self.name}.structure"
             yield f"{where}: the sensor {names} sees the mode {mode} {how}; it is not expected."
+        if len(hidden) > _SAID:
+            yield f"{where}: so it is with {len(hidden) - _SAID} more modes."
 
     @abstractmethod
     def sizes(self, asked: Design) -> Array:
@@ -120,12 +134,13 @@ class Filtering(Expecting):
         """
         where = f"controller.{self.name}.structure"
         if asked.shaken is None:
-            raise UserError(f"{where}: there is no [[mode]] block.")
+            raise UserError(f"{where}: {NO_MODES}")
         rms = self.sizes(asked)
         seen = self.expects(rms)
         if not seen.any():
             raise UserError(
-                f"{where}: the sensor {asked.sensor!r} sees no [[mode]] block shaken; set rms_nm."
+                f"{where}: the sensor {asked.sensor!r} sees no mode of the structure shaken; set rms_nm of "
+                "[[mode]] blocks, or let a disturbance act on bodies."
             )
         return [
             oscillator(hertz, 4 * np.pi * zeta * hertz, size)
@@ -140,13 +155,14 @@ class Filtering(Expecting):
         return joined(parts), self.noise_of(asked)
 
     @abstractmethod
-    def filtered(self, asked: Design) -> LinearModel:
-        """Return the filter of a channel."""
+    def filtered(self, asked: Design, known: Shaped, noise: float) -> LinearModel:
+        """Return the filter of a channel, of what is expected."""
 
     def design(self, asked: Design) -> Regulator:
         """Return a filter for every channel."""
+        expected = self.expected(asked)
         try:
-            model = self.filtered(asked)
+            model = self.filtered(asked, *expected)
         except UserError as error:
             raise UserError(f"controller.{self.name}: {error}") from None
         return shared_filter(decoupling(asked, self.modes, rates=True), model)
@@ -158,6 +174,6 @@ class Lqg(Filtering):
 
     model: Literal["lqg"] = "lqg"
 
-    def filtered(self, asked: Design) -> LinearModel:
+    def filtered(self, asked: Design, known: Shaped, noise: float) -> LinearModel:
         """Return the predictor."""
-        return lqg(*self.expected(asked), asked.follows, asked.timing, asked.shows)
+        return lqg(known, noise, asked.follows, asked.timing, asked.shows)

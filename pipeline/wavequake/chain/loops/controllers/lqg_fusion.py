@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from wavequake.chain.loops.block import register
-from wavequake.chain.loops.controllers.lqg import Expecting
+from wavequake.chain.loops.controllers.lqg import NO_MODES, Expecting
 from wavequake.chain.loops.design import Array, Design, decoupling
 from wavequake.control.frames.disturbance import Shaped, oscillator
 from wavequake.control.sampled.fusion import Known, Seen, fused
@@ -92,12 +92,15 @@ class LqgFusion(Expecting):
         """Return the modes that are shaken, and how each sensor sees them."""
         where = f"controller.{self.name}.structure"
         if asked.shaken is None:
-            raise UserError(f"{where}: there is no [[mode]] block.")
+            raise UserError(f"{where}: {NO_MODES}")
         found = []
         for k in np.flatnonzero(self.expects(self.sizes(asked))):
             hertz, zeta = float(asked.shaken.hertz[k]), float(asked.shaken.zeta[k])
             columns = [watch.shaken[:, [k]] for watch in asked.watched]
             found.append((oscillator(hertz, 4 * np.pi * zeta * hertz, 1.0), columns))
         if not found:
-            raise UserError(f"{where}: no sensor sees a [[mode]] block shaken; set rms_nm.")
+            raise UserError(
+                f"{where}: no sensor sees a mode of the structure shaken; set rms_nm of [[mode]] blocks, or "
+                "let a disturbance act on bodies."
+            )
         return found

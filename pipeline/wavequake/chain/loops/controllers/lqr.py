@@ -7,6 +7,7 @@ from pydantic import Field
 from wavequake.chain.loops.block import register
 from wavequake.chain.loops.controllers.lqg import Filtering
 from wavequake.chain.loops.design import Design
+from wavequake.control.frames.disturbance import Shaped
 from wavequake.control.linear import LinearModel
 from wavequake.control.sampled.filters import lqr
 
@@ -20,7 +21,6 @@ class Lqr(Filtering):
         default=0.01, gt=0, le=1e6, description="price of a change of the command, against what is left"
     )
 
-    def filtered(self, asked: Design) -> LinearModel:
+    def filtered(self, asked: Design, known: Shaped, noise: float) -> LinearModel:
         """Return regulator and filter."""
-        known, noise = self.expected(asked)
         return lqr(known, noise, self.effort, asked.follows, asked.timing, asked.shows)

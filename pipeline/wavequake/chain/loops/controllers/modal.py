@@ -30,6 +30,11 @@ class Modal(Controller):
 
     model: Literal["modal"] = "modal"
 
+    @property
+    def asks_modes(self) -> bool:
+        """It does."""
+        return True
+
     def design(self, asked: Design) -> Regulator:
         """Return observer and row.
 
@@ -41,8 +46,8 @@ class Modal(Controller):
         """
         where = f"controller.{self.name}"
         target, *observers = asked.watched
-        if asked.shaken is None:
-            raise UserError(f"{where}: there are no modes, of which it feeds forward.")
+        if asked.shaken is None or not asked.shaken.names:
+            raise UserError(f"{where}: no modes are shaken, of which it feeds forward.")
         if not observers:
             raise UserError(
                 f"{where}: also_reads must name what tells of the modes; {target.sensor!r} is to stand still."

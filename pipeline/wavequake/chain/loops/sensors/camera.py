@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.chain.loops.block import Sensor, register
+from wavequake.chain.loops.block import Photons, Sensor, register
 from wavequake.chain.loops.light import Light, RayLight
 from wavequake.errors import UserError
 from wavequake.imaging.pupils.pupil_function import annular_pupil
@@ -55,7 +55,7 @@ class Camera(Sensor):
     units: ClassVar[str] = "mas"
 
     model: Literal["camera"] = "camera"
-    photons: float = Field(default=0.0, ge=0, description="of the star, per frame; 0: photons make no noise")
+    photons: Photons = Field(default=0.0, description="of the star, per frame; 0: photons make no noise")
     read_noise: float = Field(default=0.0, ge=0, le=1e6, description="electrons rms per pixel, with photons")
     pixel_mas: float = Field(default=5.0, gt=0, le=1e6)
     pixels: int = Field(default=16, ge=2, le=128, description="along one side of the window")

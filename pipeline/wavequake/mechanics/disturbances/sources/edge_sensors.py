@@ -94,7 +94,7 @@ def sensor_matrix(
     if 2 * sensor_offset_m >= length.min():
         raise UserError(
             f"Edge sensors {sensor_offset_m:g} m from the ends do not fit on an edge "
-            f"of {length.min():.4g} m; lower sensor_offset_m."
+            f"of {length.min():.4g} m; move them to the ends (offset_m, sensor_offset_m)."
         )
     along = along / length
     outward = np.stack([along[:, 1], -along[:, 0]], axis=1)
