@@ -10,6 +10,7 @@ from wavequake.errors import UserError
 from wavequake.optics.media.glasses import medium_label
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
+from wavequake.optics.rays.other_points import other_points
 from wavequake.optics.rays.packing import pack
 from wavequake.optics.shapes.forms.biconic import Biconic
 from wavequake.optics.shapes.forms.toroid import Toroid
@@ -58,6 +59,13 @@ def info(system: OpticalSystem) -> str:
     bent = [one for one in system.surfaces if isinstance(one.medium, GradientIndex)]
     if bent:
         parts.append([f"The index varies behind {bent[0].name}, and rays bend."])
+    if names := other_points(system):
+        parts.append(
+            [
+                "Light goes forwards where the axis ray goes back, or back where that goes forwards, and "
+                f"meets {', '.join(names)} at another point than in OpticStudio."
+            ]
+        )
     parts += [[system.note]] if system.note else []
     try:
         require_cover(system)

@@ -23,7 +23,7 @@ from wavequake.optics.shapes.shapes import Conic
 from wavequake.optics.systems.kinematics import Break, SurfaceRow, sequential
 from wavequake.optics.systems.system import OpticalSystem, Pupil, require_system
 from wavequake.optics.text_file import read_text
-from wavequake.optics.zemax.apertures import with_pupil
+from wavequake.optics.zemax.apertures import beside_stop, with_pupil
 from wavequake.optics.zemax.configurations import count_of, with_configuration, with_solved_image
 from wavequake.optics.zemax.fields import is_afocal, is_telecentric, wavelengths, with_fields
 from wavequake.optics.zemax.header import environment_of, left_aside, require_supported
@@ -121,6 +121,7 @@ def system_of(
             if configuration is not None:
                 system = with_solved_image(system, file, scale)
             system, notes = _with_real_chief_rays(system)
+            notes += beside_stop(system, file)
             system = with_fields(system, file, scale)
     problems.require_none(file)
     system = replace(system, note=" ".join([*_notes(file, configuration), *notes, *shelf.notes]))
