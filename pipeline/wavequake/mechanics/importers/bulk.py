@@ -241,12 +241,14 @@ def read_bulk(path: Path) -> Deck:
         points,
         {kind: np.array(nodes, dtype=np.int64) for kind, nodes in cells.items()},
         np.array(labels, dtype=np.int64)[rows],
-        *(
-            {name: np.array(one, dtype=np.int64) for name, one in given.items()}
-            for given in (own, properties)
-        ),
+        _whole_arrays(own),
+        _whole_arrays(properties),
         turns,
     )
+
+
+def _whole_arrays(given: dict[str, list[int]]) -> dict[str, Integers]:
+    return {name: np.array(one, dtype=np.int64) for name, one in given.items()}
 
 
 def _shape(card: Card, where: str) -> tuple[str, list[int]]:
@@ -294,7 +296,8 @@ def axes_at(points: Array, frame: str, axes: dict[str, Card], source: str) -> Ar
         along = np.stack([zero, zero, one], axis=-1)
         sine, cosine = np.sin(up)[:, None], np.cos(up)[:, None]
         columns = [sine * out + cosine * along, cosine * out - sine * along, around]
-    return found @ np.stack(columns, axis=-1)
+    turned: Array = found @ np.stack(columns, axis=-1)
+    return turned
 
 
 def _frame(frame: str, axes: dict[str, Card], source: str, depth: int) -> tuple[Card, Array, Array]:

@@ -24,7 +24,7 @@ _BASIC, _OWN = ("BOUGV1", "BOPHIG"), ("OUGV1", "OUGV2", "OUG1", "OUGV1PAT", "OPH
 _KINDS: dict[int, Kind] = {1: "case", 2: "mode", 6: "time", 10: "case"}
 _DISPLACEMENT, _EIGENVECTOR = 1, 7
 _GRID = (4501, 45)
-_FRAMES = {(2101, 21): "CORD2R", (2001, 20): "CORD2C", (2201, 22): "CORD2S"}
+_FRAMES: dict[tuple[int, ...], str] = {(2101, 21): "CORD2R", (2001, 20): "CORD2C", (2201, 22): "CORD2S"}
 _ROW = 8  # words of a node: number, type, six displacements and rotations
 _POINT = 1  # the type of a node; others are scalar points
 

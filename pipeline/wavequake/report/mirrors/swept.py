@@ -24,10 +24,10 @@ from wavequake.report.mirrors.variants import (
     VariantResult,
     few,
     largest,
-    left_out,
 )
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
 from wavequake.report.plain import short
+from wavequake.report.populations import left_out
 from wavequake.report.table import number, table_of_rows
 from wavequake.words import counted
 from wavequake.workflows.sweep import SweepStudy, Value, label_names, point_study, points_of
