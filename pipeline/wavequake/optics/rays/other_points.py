@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.sequential_numpy import walk
+from wavequake.kernels.trace.sequential_numpy import LOST_RAYS_ARE_DATA, walk
 from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.aiming import aimed_rays
 from wavequake.optics.rays.packing import moving, pack
@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 _X, _Y = np.array([0.0, 1.0, -1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, -1.0])
 
 
+@LOST_RAYS_ARE_DATA
 def other_points(system: OpticalSystem) -> list[str]:
     """Return the names of curved surfaces that a chief or marginal ray meets against the axis ray's sense.
 

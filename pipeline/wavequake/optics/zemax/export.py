@@ -118,10 +118,7 @@ def zmx_text(system: OpticalSystem, catalogue: str = "") -> str:
     require_fields(system, f"the system {system.name}")
     _require_one_line(system.name, "the system")
     lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
-    lines += [
-        *_catalogues(system, catalogue),
-        "RAIM 0 1 1 1 0 0 0 0 0 1",
-    ]  # aimed at the paraxial stop
+    lines += [*_catalogues(system, catalogue), "RAIM 0 1 1 1 0 0 0 0 0 1"]  # aimed at the paraxial stop
     lines += [*_environment(system), *_wavelengths(system), *_note(system)]
     infinite = math.isinf(system.object_distance)
     distance = "INFINITY" if infinite else written(system.object_distance)
