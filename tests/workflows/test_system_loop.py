@@ -118,7 +118,7 @@ def test_a_history_from_a_file_is_taken_at_its_own_instants(tmp_path):
         ('of = "M2"', 'of = "M3"', "there is no surface or body 'M3' to move; there is M1, M2, image"),
         ('model = "line-of-sight"', 'model = "edges"', "reads segments or M2"),
         ("gain = 0.3", "gain = 1.2", "unstable"),
-        ('dofs = ["rx", "ry"]', 'dofs = ["dz"]', "does not see 'dz' of the actuator 'steer' at all"),
+        ('dofs = ["rx", "ry"]', 'dofs = ["dz"]', "does not see 'dz' of the actuator 'stage' at all"),
         ("[optics]", '[optics]\nlight = "modal"', "optics.light must be 'traced'"),
         ("20.0", "90000.0", "too fast for its loops"),
         ("[wavefront]", '[allow]\nmeasure = "wfe_rms.p95"\nlimit = "1 nm"\n[wavefront]', "allow belongs to"),

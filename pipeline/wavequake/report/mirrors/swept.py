@@ -190,7 +190,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         sections=[],
         definitions=_DEFINITIONS,
         kind="variant",
-        left_out=left_out(dataset),
+        left_out=left_out(dataset, ["model", "variant"]),
     )
     return write_page(render_page(dataset, page), target)
 
