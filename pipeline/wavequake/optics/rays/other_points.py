@@ -1,7 +1,6 @@
 """Surfaces that light meets against the sense of the axis ray, where programs take different points."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.trace.sequential_numpy import LOST_RAYS_ARE_DATA, walk
@@ -11,8 +10,6 @@ from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.systems.axis_ray import follow_axis
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_of
-
-Array = NDArray[np.float64]
 
 # The chief ray and four marginal rays.
 _X, _Y = np.array([0.0, 1.0, -1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, -1.0])
