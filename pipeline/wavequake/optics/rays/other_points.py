@@ -20,8 +20,8 @@ def other_points(system: OpticalSystem) -> list[str]:
     """Return the names of curved surfaces that a chief or marginal ray meets against the axis ray's sense.
 
     A ray that leaves a mirror forwards meets a sphere twice. Here it takes the point at which it crosses the
-    sphere in the sense in which it crosses the vertex plane; OpticStudio takes that of the axis ray. Where a
-    field's rays cannot be aimed it says nothing.
+    sphere in the sense in which it crosses the vertex plane; OpticStudio takes the other one in its sample
+    Shafer1980. Where a field's rays cannot be aimed it says nothing.
     """
     wavelength = wavelength_of(system)
     senses, direction = [], np.array([0.0, 0.0, 1.0])
