@@ -26,6 +26,7 @@ from wavequake.kernels.device.devices import list_devices
 
 _UNCHANGED = 0.1  # rows that differ by less than this share are alike: machines are not quieter
 _ASKED_FOR = ("measured", "viewer", "bundled_times")  # tests, which `make test` runs, pages, a file of ours
+_FIRST = ("main_job", "modal", "variants")  # what is demanded in seconds, before an hour of work warms up
 
 
 def processor() -> dict[str, Any]:
@@ -98,7 +99,7 @@ def compared(before: Mapping[str, Any], after: Mapping[str, Any]) -> Table:
 def main() -> None:
     """Run, collect and show."""
     known = [one.name for one in pkgutil.iter_modules(benchmarks.__path__) if not one.name.startswith("_")]
-    every = [name for name in known if name not in _ASKED_FOR]
+    every = [*_FIRST, *(name for name in known if name not in (*_FIRST, *_ASKED_FOR))]
     parser = argparse.ArgumentParser(prog="python -m benchmarks")
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
     parser.add_argument("--json", type=Path, default=Path("runs/benchmarks.json"), metavar="FILE")
