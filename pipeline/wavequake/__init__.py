@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from wavequake.workflows.systems.source import load_system
     from wavequake.workflows.zernike_arrays import convert_zernike
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 BEGUN = time.monotonic()  # libraries load from here on
 __all__ = [
     "StoreDamageError",
