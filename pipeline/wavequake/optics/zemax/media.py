@@ -20,7 +20,7 @@ from wavequake.optics.media.glasses import (
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.media.model_glass import model_glass
 from wavequake.optics.shapes.shapes import SurfaceAction
-from wavequake.optics.zemax.gradients import GRADIENTS, gradient
+from wavequake.optics.zemax.gradients import GRADIENTS, ROD, gradient, rod
 from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail
 
 MODEL_GLASS = "___BLANK"
@@ -137,6 +137,8 @@ def medium_after(
         Where its glass is looked up.
     """
     line = row.one("GLAS")
+    if row.type == ROD:
+        return "refract", _rod(line, row, scale, shelf)
     if row.type in GRADIENTS:
         if line is not None:
             fail(
@@ -151,6 +153,19 @@ def medium_after(
         return "reflect", before
     after = AIR if line is None or line.words[:1] in ([], ["AIR"]) else _glass(line, row, shelf)
     return ("pass" if after == before else "refract"), after
+
+
+def _rod(line: Line | None, row: Row, scale: float, shelf: GlassShelf) -> GradientIndex:
+    name = line.words[0] if line and line.words else ""
+    medium = shelf.own.get(name.upper())
+    if medium is None:
+        fail(
+            line or row.line,
+            f"{row.label} begins a rod of {name or 'no material'}, whose numbers are its maker's; give a "
+            "file that has them, six lines for each material (name, B, C, K0, K1, K2), with --glass "
+            "GRADIENT_9.DAT, or as system.glass_file of a study",
+        )
+    return rod(row, medium, scale)
 
 
 def _glass(line: Line, row: Row, shelf: GlassShelf) -> Medium:

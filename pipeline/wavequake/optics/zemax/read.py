@@ -202,9 +202,14 @@ def _prescription(
             stops.append((count, row))
         if row.type == "COORDBRK":
             with problems.collected():
-                _require_plain_break(row, last)
+                if last:
+                    fail(row.line, "the last surface is the image: it cannot be a coordinate break")
                 _require_upright(row)
-                rows.append(coordinate_break(row, scale, thickness))
+                at_stop = "STOP" in row.lines
+                rows.append(coordinate_break(row, scale, 0.0 if at_stop else thickness))
+                if at_stop:  # the plane to which it leads
+                    rows.append(SurfaceRow(row.label, Conic(), thickness))
+                    count += 1
             continue
         before, after = None, None
         with problems.collected():
@@ -260,13 +265,6 @@ def _finite_thickness(row: Row, scale: float) -> float:
     if math.isinf(thickness):
         fail(row.lines["DISZ"][0], f"{row.label} has an infinite thickness, only the object may")
     return thickness
-
-
-def _require_plain_break(row: Row, last: bool) -> None:
-    if "STOP" in row.lines:
-        fail(row.line, f"{row.label} is a coordinate break, which cannot be the stop")
-    if last:
-        fail(row.line, "the last surface is the image: it cannot be a coordinate break")
 
 
 def _require_upright(row: Row) -> None:
