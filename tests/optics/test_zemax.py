@@ -246,7 +246,7 @@ STOP = "  STOP\n  DISZ 1"
         (lens(STOP).replace("DISZ INFINITY", "TYPE GRINSUR2\n  PARM 2 2"), "the object is no plane"),
         (lens(STOP + "\n  GLAS UNOBTAINIUM 0 0"), r"surface 1: There is no glass 'UNOBTAINIUM'"),
         (lens(STOP + "\n  GLAS ___BLANK 1 0 1.6 -40"), "an Abbe number from 5 to 200 .* not 1.6, -40 and 0"),
-        (lens(STOP + "\n  UDAD 0 foo.uda"), r"line 10 \(UDAD\): surface 1 has an aperture of another form"),
+        (lens(STOP + "\n  UDAP 0 foo.uda"), r"line 10 \(UDAP\): surface 1 has an aperture of another form"),
         (lens(STOP + "\n  CLAP 0 5 0\n  OBDC 1 x"), "'x' is not a number"),
         (lens(STOP + "\n  CLAP 5 2 0"), "must increase"),
         (lens(STOP + "\n  SPID -1 4 0"), "not a positive number"),

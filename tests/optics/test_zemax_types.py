@@ -223,4 +223,4 @@ def test_a_ring_at_the_rim_and_an_obscuration_of_no_size():
     with pytest.raises(UserError, match="0 by 2 mm; both must be positive"):
         read(f"{STOP}\n  SQOB 0 2 0")
     with pytest.raises(UserError, match="an aperture of another form"):
-        parse_zmx(lens(f"{STOP}\n  UDAD 1 1 2 0"), "lens.zmx")
+        parse_zmx(lens(f"{STOP}\n  UDAP 1 1 2 0"), "lens.zmx")

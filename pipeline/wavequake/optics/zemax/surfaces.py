@@ -37,6 +37,7 @@ from wavequake.optics.zemax.rows import (
     powers_scaled,
     require_no_numbers,
 )
+from wavequake.optics.zemax.user_apertures import USER_DEFINED, user_polygon
 
 MAX_TERMS = {  # up to degree 20; of aspheres, up to the power 480 and 240
     **{"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37, "GRID_SAG": 231},
@@ -205,6 +206,10 @@ def opening(row: Row, scale: float) -> Opening | None:
         if not width > 0:
             fail(line, f"{row.label} has a spider whose arms are {width:g} mm wide, not a positive number")
         return Opening(arms=spider(width, count), center=center)
+    if line.keyword in USER_DEFINED:
+        corners = user_polygon(row, line, scale)
+        passes = line.keyword == "USAP"
+        return Opening(corners=corners, center=center) if passes else Opening(dark=corners, center=center)
     low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
     if line.keyword in ("SQAP", "SQOB", "ELAP", "ELOB"):
         if not (low > 0.0 and high > 0.0):
