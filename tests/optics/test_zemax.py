@@ -240,7 +240,7 @@ STOP = "  STOP\n  DISZ 1"
     ("text", "match"),
     [
         (lens("  TYPE HOLOGRM1\n" + STOP), r"line 8 \(TYPE\): surface 1 is of the type HOLOGRM1"),
-        (lens("  TYPE HOLOGRM2\n" + STOP), "HOLOGRM2, which is not supported"),
+        (lens("  TYPE FRESNELS\n" + STOP), "FRESNELS, which is not supported"),
         (lens("  TYPE GRINSUR7\n" + STOP), "GRINSUR7, which is not supported"),
         (lens(STOP).replace("DISZ INFINITY", "DISZ 9\n  CURV 0.1"), "the object is no plane"),
         (lens(STOP).replace("DISZ INFINITY", "TYPE GRINSUR2\n  PARM 2 2"), "the object is no plane"),
