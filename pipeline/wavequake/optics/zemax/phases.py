@@ -103,7 +103,7 @@ def _hologram(row: Row, scale: float) -> Diffraction:
     if not 0.0 < reach <= _FARTHEST * min(ways):
         fail(
             row.line,
-            f"{row.label} is a hologram whose semi-diameter (DIAM) is not positive, or one of whose points is "
+            f"{row.label} is a hologram whose semi-diameter (DIAM) is not positive, or one of its points is "
             "not farther than one and a half of it",
         )
     made = given.get(7, 0.0)

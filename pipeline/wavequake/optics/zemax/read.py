@@ -28,7 +28,7 @@ from wavequake.optics.zemax.configurations import count_of, with_configuration, 
 from wavequake.optics.zemax.fields import is_afocal, is_telecentric, wavelengths, with_fields
 from wavequake.optics.zemax.header import environment_of, left_aside, require_supported
 from wavequake.optics.zemax.lens_file import LensFile, Problems, parsed, scale_of
-from wavequake.optics.zemax.media import GlassShelf, medium_after, picked_up
+from wavequake.optics.zemax.media import CRYSTALS, GlassShelf, medium_after, picked_up
 from wavequake.optics.zemax.phases import phase
 from wavequake.optics.zemax.rows import OPENINGS, Row, as_number, fail
 from wavequake.optics.zemax.surfaces import (
@@ -177,6 +177,8 @@ def _notes(file: LensFile, configuration: int | None) -> list[str]:
     if rings:
         names = ", ".join(dict.fromkeys(rings))
         found.append(f"Ring-shaped obscurations stop here all light beyond their inner radius: {names}.")
+    if crystals := ", ".join(dict.fromkeys(row.label for row in file.rows if row.type == CRYSTALS[0])):
+        found.append(f"Of crystals the ordinary ray is traced, as the file does: {crystals}.")
     if ellipses := ", ".join(
         dict.fromkeys(row.label for row in file.rows if row.one("ELAP") or row.one("ELOB"))
     ):

@@ -24,6 +24,7 @@ from wavequake.optics.shapes.shapes import (
 from wavequake.optics.systems.kinematics import Break
 from wavequake.optics.zemax.gradients import GRADIENTS, ROD
 from wavequake.optics.zemax.grids import grid_sag
+from wavequake.optics.zemax.media import CRYSTALS
 from wavequake.optics.zemax.phases import MAX_EVEN_TERMS, PHASES, phase_base
 from wavequake.optics.zemax.rows import (
     OPENINGS,
@@ -79,11 +80,13 @@ def shape(row: Row, scale: float) -> Shape:
         return phase_base(row, scale, radius, kappa)
     if row.type in (*GRADIENTS, ROD):  # their parameters are those of the medium
         return Conic(radius, kappa)
+    if row.type in CRYSTALS:  # parameters are the mode and the axis of the crystal
+        return Conic(radius, kappa)
     if row.type != "STANDARD":
         fail(
             row.one("TYPE") or row.line,
             f"{row.label} is of the type {row.type}, which is not supported; STANDARD, COORDBRK, "
-            f"{', '.join((*builders, *GRADIENTS, ROD, *PHASES, *zemax_types()))} are",
+            f"{', '.join((*builders, *GRADIENTS, ROD, *CRYSTALS, *PHASES, *zemax_types()))} are",
         )
     require_no_numbers(row, "PARM", row.table("PARM"))
     return Conic(radius, kappa)
