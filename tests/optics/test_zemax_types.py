@@ -237,5 +237,5 @@ def test_of_a_crystal_the_ordinary_ray_is_that_of_a_glass(mode):
     assert "Of crystals the ordinary ray is traced, as the file does: surface 2." in mine.note
     for one, other in zip(mine.surfaces, theirs.surfaces, strict=True):
         assert (one.shape, one.medium, one.action) == (other.shape, other.medium, other.action)
-    with pytest.raises(UserError, match="of which the extraordinary ray is traced .PARM 1 is 1"):
+    with pytest.raises(UserError, match="the extraordinary ray is traced"):
         parse_zmx(lens(STOP, "  " + crystal.format(mode=1), out), "lens.zmx")
