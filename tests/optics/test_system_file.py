@@ -105,7 +105,8 @@ def test_shapes_openings_and_media():
         '{name = "d", deformation_terms = 15, semi_diameter_mm = 8.0, arms = [[90.0, 0.5]],'
         "center_mm = [3.0, 4.0]}",
         '{name = "e", corners_mm = [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]]}',
-        '{name = "f", dark_mm = [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]], decenter_mm = [1.0, -2.0], distance_mm = 3.0}',
+        '{name = "f", dark_mm = [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]],'
+        "decenter_mm = [1.0, -2.0], distance_mm = 3.0}",
         '{name = "image", distance_mm = 5.0}',
     )
     a, b, c, d, e, f, image = system.surfaces
