@@ -166,7 +166,8 @@ def counted_generator(seed: int, stream_name: str, steps: int) -> np.random.Gene
 
 def counted_key(seed: int, stream_name: str) -> NDArray[np.uint64]:
     """Return the key (2,) of a disturbance's counted numbers."""
-    return np.random.SeedSequence(seed, spawn_key=(_stream(stream_name),)).generate_state(2, np.uint64)
+    key = np.random.SeedSequence(seed, spawn_key=(_stream(stream_name),)).generate_state(2, np.uint64)
+    return np.asarray(key, dtype=np.uint64)
 
 
 def _stream(name: str) -> int:
