@@ -95,10 +95,11 @@ def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]
         ("exit pupil", _pupil(data.exit_pupil, data.exit_pupil_diameter, "from image")),
         ("stop", f"{system.surfaces[system.stop].name}, radius {_length(data.stop_radius)}"),
         ("obscuration", f"{_number(system.pupil.obscuration)} of the pupil's radius"),
-        ("Lagrange invariant", _length(data.lagrange)),
     ]
     if system.pupil.apodization is not None:
-        rows.insert(-1, ("apodization", _apodization(system)))
+        rows.append(("apodization", _apodization(system)))
+    if isfinite(data.lagrange):
+        rows.append(("Lagrange invariant", _length(data.lagrange)))
     if not far:
         rows[1:1] = [
             ("magnification", _number(data.magnification)),

@@ -30,6 +30,7 @@ from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
+_WIDE = np.deg2rad(85.0)  # where light hardly crosses a plane that is upright to the axis
 _SMALLEST, LARGEST = 1e-9, 1e12  # apertures and distances, mm: products of some of them do not overflow
 STRONGEST = 20.0
 """Largest factor of an apodization: its rim has 4e-18 of the central light."""
@@ -100,7 +101,7 @@ class OpticalSystem:
     object_distance : float
         From the object plane to the first surface's vertex; infinite for a star.
     fields : ndarray, shape (F, 2)
-        Angles (tan of them is the slope) for an infinite object, heights in mm for a finite one.
+        Angles for an infinite object (see `field_direction`), heights in mm for a finite one.
     wavelengths : ndarray, shape (W,)
         mm.
     primary_wavelength : int
@@ -253,8 +254,13 @@ def require_system(system: OpticalSystem) -> None:
             f"{name} is telecentric in the object space, where its object is at infinity; give the object a "
             "finite distance"
         )
-    if np.isinf(system.object_distance) and not (np.abs(system.fields) < np.pi / 2.0).all():
-        raise UserError(f"a field of {name} lies 90 degrees or more off the axis; its light does not come in")
+    if np.isinf(system.object_distance):
+        beyond = np.abs(system.fields) >= np.pi / 2.0
+        if beyond.all(axis=1).any() or not (np.abs(system.fields) < np.pi).all():
+            raise UserError(
+                f"a field of {name} lies 90 degrees or more off the axis along both x and y, or 180 along "
+                "one; its light does not come in"
+            )
     _require_pupil(system)
     medium: Medium | GradientIndex = system.medium
     for surface in system.surfaces:
@@ -359,6 +365,24 @@ def _require_deformation(where: str, form: Deformation | None) -> None:
             f"{where} deforms on a grid of {form.rows} rows and {form.columns} columns, {form.dx} and "
             f"{form.dy} mm apart; it needs at least 4 of each and positive spacings"
         )
+
+
+def is_wide(fields: Array) -> bool:
+    """Tell whether light of a field at infinity comes from the side or from behind, from 85 degrees on."""
+    return bool((np.abs(fields) >= _WIDE).any())
+
+
+def field_direction(field: Array) -> Array:
+    """Return the direction (3,) of light of a field (2,) at infinity: tan of the angles are its slopes.
+
+    From 90 degrees on, light goes on turning: that of (0, 100) degrees runs along +y and a little along -z.
+    """
+    if is_wide(field):
+        (sine_x, sine_y), (cosine_x, cosine_y) = np.sin(field), np.cos(field)
+        direction = np.array([sine_x * cosine_y, cosine_x * sine_y, cosine_x * cosine_y])
+    else:
+        direction = np.array([*np.tan(field), 1.0])
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ Traced = tuple[Array, TracedRays, Array]  # see `trace_light`
 _PLANE = 3  # terms, without which there is no line of sight
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PreparedSystem:
     """What a system, a field, a wavelength and the rays determine once for all instants.
 

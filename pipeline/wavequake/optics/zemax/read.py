@@ -28,7 +28,7 @@ from wavequake.optics.zemax.configurations import count_of, with_configuration, 
 from wavequake.optics.zemax.fields import is_afocal, is_telecentric, wavelengths, with_fields
 from wavequake.optics.zemax.header import apodization_of, environment_of, left_aside, require_supported
 from wavequake.optics.zemax.lens_file import LensFile, Problems, parsed, scale_of
-from wavequake.optics.zemax.media import GlassShelf, medium_after, picked_up
+from wavequake.optics.zemax.media import CRYSTALS, GlassShelf, medium_after, picked_up
 from wavequake.optics.zemax.phases import phase
 from wavequake.optics.zemax.rows import OPENINGS, Row, as_number, fail
 from wavequake.optics.zemax.surfaces import (
@@ -181,6 +181,8 @@ def _notes(file: LensFile, configuration: int | None) -> list[str]:
     if rings:
         names = ", ".join(dict.fromkeys(rings))
         found.append(f"Ring-shaped obscurations stop here all light beyond their inner radius: {names}.")
+    if crystals := ", ".join(dict.fromkeys(row.label for row in file.rows if row.type == CRYSTALS[0])):
+        found.append(f"Of crystals the ordinary ray is traced, as the file does: {crystals}.")
     if ellipses := ", ".join(
         dict.fromkeys(row.label for row in file.rows if row.one("ELAP") or row.one("ELOB"))
     ):
@@ -206,9 +208,14 @@ def _prescription(
             stops.append((count, row))
         if row.type == "COORDBRK":
             with problems.collected():
-                _require_plain_break(row, last)
+                if last:
+                    fail(row.line, "the last surface is the image: it cannot be a coordinate break")
                 _require_upright(row)
-                rows.append(coordinate_break(row, scale, thickness))
+                at_stop = "STOP" in row.lines
+                rows.append(coordinate_break(row, scale, 0.0 if at_stop else thickness))
+                if at_stop:  # the plane to which it leads
+                    rows.append(SurfaceRow(row.label, Conic(), thickness))
+                    count += 1
             continue
         before, after = None, None
         with problems.collected():
@@ -264,13 +271,6 @@ def _finite_thickness(row: Row, scale: float) -> float:
     if math.isinf(thickness):
         fail(row.lines["DISZ"][0], f"{row.label} has an infinite thickness, only the object may")
     return thickness
-
-
-def _require_plain_break(row: Row, last: bool) -> None:
-    if "STOP" in row.lines:
-        fail(row.line, f"{row.label} is a coordinate break, which cannot be the stop")
-    if last:
-        fail(row.line, "the last surface is the image: it cannot be a coordinate break")
 
 
 def _require_upright(row: Row) -> None:
