@@ -9,13 +9,14 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, list_devices
 from wavequake.optics.catalog.names import optical_system
 from wavequake.optics.light import trace
+from wavequake.optics.rays.pupils import pupil_amplitude
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.shapes.shapes import Conic, ZernikeDeformation
-from wavequake.optics.systems.apodization import pupil_amplitude
+from wavequake.optics.systems.apodization import Apodization
 from wavequake.optics.systems.file import SystemSection, build
 from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import rest_states
-from wavequake.optics.systems.system import Apodization, OpticalSystem, Pupil, Surface
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.wavefronts.record import ARRAYS
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system, with_fitted_sphere
 from wavequake.optics.zemax.export import zmx_text

@@ -9,7 +9,7 @@ from wavequake.imaging.pupils.outlines import Outline, annulus
 from wavequake.imaging.pupils.pupil_function import PupilGrid, apodized, sampled_pupil
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.trace.sequential import trace_sequence
-from wavequake.optics.systems.apodization import pupil_amplitude
+from wavequake.optics.rays.pupils import pupil_amplitude
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, incoming_light
 

@@ -1,38 +1,35 @@
-"""The amplitude of the light over the pupil of a system."""
+"""How the light falls from the center of a pupil to its rim."""
 
-from math import isinf
+from dataclasses import dataclass
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from wavequake.errors import UserError
 
-from wavequake.optics.media.glasses import refractive_index
-from wavequake.optics.systems.paraxial import paraxial
-from wavequake.optics.systems.system import OpticalSystem, wavelength_of
-
-Array = NDArray[np.float64]
+STRONGEST = 20.0
+"""Largest factor of an apodization: its rim has 4e-18 of the central light."""
 
 
-def pupil_amplitude(system: OpticalSystem, x: Array, y: Array) -> Array | None:
-    """Return the amplitude of the light at places of the pupil, 1 at its center; None: it is 1 everywhere.
+@dataclass(frozen=True)
+class Apodization:
+    """How the amplitude of the light falls from 1 at the pupil's center, as OpticStudio defines it.
 
-    Parameters
-    ----------
-    system : OpticalSystem
-    x, y : ndarray, shape (N,)
-        In units of the pupil's radius; the light is that of the whole pupil, whatever part a field fills.
-
-    Returns
-    -------
-    ndarray, shape (N,), or None
-        By the formulas of `wavequake.optics.systems.system.Apodization` (OpticStudio User Guide, "Apodization
-        Type").
+    "gaussian": exp(-factor rho^2) at the share rho of the pupil's radius. "cosine_cubed": that of a point
+    source which lights the plane of the entrance pupil, (1 + (rho tan(alpha))^2)^(-3/4) with the paraxial
+    marginal ray's angle alpha in the object space; it has no factor, and is 1 for an object at infinity.
+    Source: OpticStudio User Guide, "Apodization Type".
     """
-    given, square = system.pupil.apodization, x**2 + y**2
-    if given is None:
-        return None
-    if given.kind == "gaussian":
-        return np.exp(-given.factor * square) if given.factor else None
-    if isinf(system.object_distance):
-        return None
-    tangent = paraxial(system).object_na / refractive_index(system.medium, wavelength_of(system))
-    return np.asarray((1.0 + tangent**2 * square) ** -0.75, dtype=np.float64)
+
+    kind: Literal["gaussian", "cosine_cubed"]
+    factor: float = 0.0
+
+
+def require_apodization(given: Apodization, name: str) -> None:
+    """Raise UserError unless an apodization of the system `name` is of a known kind and strength."""
+    if given.kind not in ("gaussian", "cosine_cubed"):
+        raise UserError(
+            f"the apodization of {name} is {given.kind!r}; it can be 'gaussian' or 'cosine_cubed'"
+        )
+    if not 0.0 <= given.factor <= STRONGEST:
+        raise UserError(
+            f"the apodization of {name} has the factor {given.factor:g}; it must be from 0 to {STRONGEST:g}"
+        )

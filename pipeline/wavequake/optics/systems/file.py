@@ -32,6 +32,7 @@ from wavequake.errors import UserError
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.sections import MM_PER_NM, FileSection, Pair
 from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.systems.apodization import STRONGEST, Apodization
 from wavequake.optics.systems.glass_file import GlassSection, embed_glasses, own_glasses
 from wavequake.optics.systems.phase_file import effect_of
 from wavequake.optics.systems.surface_file import (
@@ -42,7 +43,7 @@ from wavequake.optics.systems.surface_file import (
     opening_of,
     shape_of,
 )
-from wavequake.optics.systems.system import STRONGEST, Apodization, OpticalSystem, Pupil, Surface
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.text_file import read_text
 from wavequake.optics.zemax.read import parse_zmx, read_zmx
 

@@ -12,12 +12,12 @@ from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.rays.other_points import other_points
 from wavequake.optics.rays.packing import pack
+from wavequake.optics.rays.pupils import pupil_amplitude
 from wavequake.optics.shapes.forms.biconic import Biconic
 from wavequake.optics.shapes.forms.toroid import Toroid
 from wavequake.optics.shapes.grid_cover import require_cover
 from wavequake.optics.shapes.phases import effect_words
 from wavequake.optics.shapes.shapes import Opening
-from wavequake.optics.systems.apodization import pupil_amplitude
 from wavequake.optics.systems.image_aperture import real_apertures
 from wavequake.optics.systems.paraxial import Paraxial, oblique_surfaces, paraxial
 from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_of

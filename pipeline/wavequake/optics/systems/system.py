@@ -26,14 +26,13 @@ from wavequake.optics.shapes.shapes import (
     SurfaceAction,
     ZernikeDeformation,
 )
+from wavequake.optics.systems.apodization import Apodization, require_apodization
 from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
 _WIDE = np.deg2rad(85.0)  # where light hardly crosses a plane that is upright to the axis
 _SMALLEST, LARGEST = 1e-9, 1e12  # apertures and distances, mm: products of some of them do not overflow
-STRONGEST = 20.0
-"""Largest factor of an apodization: its rim has 4e-18 of the central light."""
 
 
 @dataclass(frozen=True)
@@ -57,19 +56,6 @@ class Surface:
     phase: Effect | None = None
     segments: Segments | None = None
     body: str = ""
-
-
-@dataclass(frozen=True)
-class Apodization:
-    """How the amplitude of the light falls from 1 at the pupil's center, as OpticStudio defines it.
-
-    "gaussian": exp(-factor rho^2) at the share rho of the pupil's radius. "cosine_cubed": that of a point
-    source which lights the plane of the entrance pupil, (1 + (rho tan(alpha))^2)^(-3/4) with the paraxial
-    marginal ray's angle alpha in the object space; it has no factor, and is 1 for an object at infinity.
-    """
-
-    kind: Literal["gaussian", "cosine_cubed"]
-    factor: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -294,22 +280,12 @@ def _require_pupil(system: OpticalSystem) -> None:
             f"the pupil of {system.name} is obscured to {pupil.obscuration} of its radius; light passes "
             "where that is at least 0 and less than 1"
         )
-    given = pupil.apodization
-    if given is None:
-        return
-    if given.kind not in ("gaussian", "cosine_cubed"):
-        raise UserError(
-            f"the apodization of {system.name} is {given.kind!r}; it can be 'gaussian' or 'cosine_cubed'"
-        )
-    if not 0.0 <= given.factor <= STRONGEST:
-        raise UserError(
-            f"the apodization of {system.name} has the factor {given.factor:g}; it must be from 0 to "
-            f"{STRONGEST:g}"
-        )
-    if system.segmented is not None:
-        raise UserError(
-            f"the pupil of {system.name} is apodized, but the images of segments are of uniform light"
-        )
+    if pupil.apodization is not None:
+        require_apodization(pupil.apodization, system.name)
+        if system.segmented is not None:
+            raise UserError(
+                f"the pupil of {system.name} is apodized, but the images of segments are of uniform light"
+            )
 
 
 def _require_surface(system: str, surface: Surface) -> None:

@@ -26,9 +26,9 @@ from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.rays.aiming import losses, pupil_rays
 from wavequake.optics.rays.field_light import field_light
 from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import pupil_amplitude
 from wavequake.optics.rays.stop_following import follow_stop, stays, steering
 from wavequake.optics.shapes.sag import shape_sag
-from wavequake.optics.systems.apodization import pupil_amplitude
 from wavequake.optics.systems.image_aperture import image_cosines, image_index, require_flat_image
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial

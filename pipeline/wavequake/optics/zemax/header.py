@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from wavequake.optics.media.environment import Environment
-from wavequake.optics.systems.system import STRONGEST, Apodization
+from wavequake.optics.systems.apodization import STRONGEST, Apodization
 from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail
 
 PUPILS = ("ENPD", "FNUM", "OBNA", "FLOA")

@@ -20,8 +20,9 @@ from wavequake.optics.media.glasses import AIR, Medium
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.shapes.shapes import Conic
+from wavequake.optics.systems.apodization import Apodization
 from wavequake.optics.systems.kinematics import Break, SurfaceRow, sequential
-from wavequake.optics.systems.system import Apodization, OpticalSystem, Pupil, require_system
+from wavequake.optics.systems.system import OpticalSystem, Pupil, require_system
 from wavequake.optics.text_file import read_text
 from wavequake.optics.zemax.apertures import beside_stop, with_pupil
 from wavequake.optics.zemax.configurations import count_of, with_configuration, with_solved_image
