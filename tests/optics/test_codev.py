@@ -5,6 +5,7 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.optics.media.glasses import glass
+from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.zemax.codev import read_seq, sequence_file
 from wavequake.optics.zemax.read import parse_zmx, system_of
@@ -277,3 +278,17 @@ def test_solves_stand_as_the_numbers_that_they_gave(tmp_path):
     (tmp_path / "singlet.seq").write_text(SOLVED.replace("THI HMY 0.0", "THI S1 8.0"))
     with pytest.raises(UserError, match="THI changes the light"):
         read_seq(tmp_path / "singlet.seq")
+
+
+@pytest.mark.parametrize("unit", ["M", "I"])
+def test_aspheres_have_powers_up_to_the_twentieth(tmp_path, unit):
+    mm = {"M": 1.0, "I": 25.4}[unit]
+    given = {"A": 1e-3, "G": 2e-9, "H": -3e-10, "J": 4e-11}
+    powers = "; ".join(f"{key} {value}" for key, value in given.items())
+    text = SOLVED.replace("DIM M", f"DIM {unit}").replace("  STO\n", f"  STO\n  {powers}\n")
+    (tmp_path / "asphere.seq").write_text(text)
+    shape = read_seq(tmp_path / "asphere.seq").surfaces[0].shape
+    r = 1.5  # units of the file
+    height = 0.0 + sum(value * r ** (4 + 2 * "ABCDEFGHJ".index(key)) for key, value in given.items())
+    conic = r**2 / 50.000000025 / (1.0 + np.sqrt(1.0 - (r / 50.000000025) ** 2))
+    assert float(shape_sag(shape, r * mm, 0.0)[0]) == pytest.approx(mm * (height + conic), rel=1e-12)

@@ -105,7 +105,8 @@ def test_shapes_openings_and_media():
         '{name = "d", deformation_terms = 15, semi_diameter_mm = 8.0, arms = [[90.0, 0.5]],'
         "center_mm = [3.0, 4.0]}",
         '{name = "e", corners_mm = [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]]}',
-        '{name = "f", inner_mm = 2.0, decenter_mm = [1.0, -2.0], distance_mm = 3.0}',
+        '{name = "f", dark_mm = [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]],'
+        "decenter_mm = [1.0, -2.0], distance_mm = 3.0}",
         '{name = "image", distance_mm = 5.0}',
     )
     a, b, c, d, e, f, image = system.surfaces
@@ -118,7 +119,7 @@ def test_shapes_openings_and_media():
     assert d.deformation == ZernikeDeformation(15, 13.0)  # about the vertex, to the opening's far edge
     assert d.opening == Opening(outer=8.0, arms=((pytest.approx(np.pi / 2), 0.5),), center=(3.0, 4.0))
     assert e.opening == Opening(corners=((-1.0, -1.0), (1.0, -1.0), (0.0, 1.0)))
-    assert f.opening == Opening(inner=2.0)
+    assert f.opening == Opening(dark=((-1.0, -1.0), (1.0, -1.0), (0.0, 1.0)))
     np.testing.assert_allclose(f.position, [1, -2, 5])
     np.testing.assert_allclose(image.position, [0, 0, 10])
     assert image.shape == Conic()
@@ -238,6 +239,7 @@ WHOLE = {"entrance_diameter_mm": 1.0, "wavelengths_nm": [500.0], "surface": [LEN
         (WHOLE | {"surface": [LENS | {"zernike_nm": [1.0], "even_asphere": [1.0]}, IMAGE]}, "choose one"),
         (WHOLE | {"surface": [LENS | {"semi_diameter_mm": 1.0, "inner_mm": 1.0}, IMAGE]}, "passes no light"),
         (WHOLE | {"surface": [LENS | {"corners_mm": [[0.0, 1.0]]}, IMAGE]}, "at least 3 corners_mm"),
+        (WHOLE | {"surface": [LENS | {"dark_mm": [[0.0, 1.0]]}, IMAGE]}, "at least 3 corners of dark_mm"),
         (WHOLE | {"surface": [LENS | {"arms": [[0.0, 0.0]]}, IMAGE]}, "arm without a positive width"),
         (WHOLE | {"surface": [LENS | {"fold": True}, IMAGE]}, "folds the axis"),
         (WHOLE | {"surface": [LENS | {"glass": -1.5}, IMAGE]}, "must be positive"),

@@ -10,6 +10,7 @@ from wavequake.optics.catalog.names import optical_system
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.rays.packing import pack
 from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening, ZernikeDeformation
 from wavequake.optics.systems.info import info
@@ -208,3 +209,22 @@ def test_an_object_in_the_first_surface_is_refused_as_in_a_trace():
     lens = replace(optical_system("six-lens"), object_distance=0.0)
     with pytest.raises(UserError, match="the object of six-lens stands in the first surface; move it off"):
         info(lens)
+
+
+def test_surfaces_off_the_axis_are_listed_with_their_places_and_angles():
+    rows = [
+        SurfaceRow("front", Conic(100.0), 5.0, "refract", Medium("crown", "constant", (1.5,))),
+        SurfaceRow("back", Conic(-100.0), 100.0, "refract"),
+        SurfaceRow("image"),
+    ]
+    straight = OpticalSystem("lens", sequential(rows), 0, Pupil("entrance_diameter", 10.0))
+    assert "off the axis" not in info(straight)
+    angles = np.array([1e-6, -2e-5, 3e-4])
+    moved = replace(straight.surfaces[1], position=np.array([3e-6, -2e-3, 5.0]), rotation=cardan(angles))
+    text = info(replace(straight, surfaces=(straight.surfaces[0], moved, straight.surfaces[2])))
+    table = text[text.index("off the axis") :].splitlines()
+    assert len(table) == 2
+    name, *numbers = table[1].split()
+    assert name == "back"
+    expected = [3e-6, -2e-3, *np.rad2deg(angles)]
+    np.testing.assert_allclose([float(number) for number in numbers], expected, rtol=1e-7)

@@ -21,7 +21,7 @@ SELFOC = "selfoc"
 """Formula of rods whose maker gives index and gradient by the wavelength."""
 _SHORTEST = 1e-2  # step, relative to the default
 _STEPS_PER_SCALE = 100.0  # default steps on the length over which the index changes
-_STEPS_OF_RODS = 400.0  # which are many such lengths long, over which errors add up
+_STEPS_OF_RODS = 200.0  # which are many such lengths long, over which errors add up
 _MOST_GROWTH = 36.0  # by its exponential the last digit of where a ray starts becomes all of where it ends
 
 
@@ -146,7 +146,7 @@ def gradient_of(medium: Medium | GradientIndex, wavelength_mm: float) -> Gradien
 def default_step(medium: GradientIndex, wavelength_mm: float) -> float:
     """Return a hundredth of the length over which the strongest term changes n² by itself, mm.
 
-    Of rods of the formula "selfoc" a quarter of that.
+    Of rods of the formula "selfoc" half of that.
     """
     squared = medium_index(medium, wavelength_mm) ** 2
     across, along = powers_at(medium, wavelength_mm)

@@ -13,6 +13,7 @@ from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.rays.other_points import other_points
 from wavequake.optics.rays.packing import pack
 from wavequake.optics.rays.pupils import pupil_amplitude
+from wavequake.optics.segments.kinematics import cardan_angles
 from wavequake.optics.shapes.forms.biconic import Biconic
 from wavequake.optics.shapes.forms.toroid import Toroid
 from wavequake.optics.shapes.grid_cover import require_cover
@@ -27,12 +28,15 @@ Array = NDArray[np.float64]
 _ARCMIN = 180.0 * 60.0 / np.pi
 _WIDE = np.deg2rad(1.0)  # fields from which angles are told in degrees
 _SAME = 0.01  # relative difference up to which an aperture is called the same
+_ROUNDING = 1e-10  # mm or degrees, of places that rotations gave
 _OBLIQUE = np.deg2rad(1.0)  # incidence from which powers along and across differ by 3e-4
 _FIRST_DARK_RING = 3.8317059702075123 / np.pi  # first zero of J1: 1.22 wavelength times f-number
 
 
 def info(system: OpticalSystem) -> str:
     """Return first-order data at the primary wavelength, fields, wavelengths and surfaces, as plain text.
+
+    Surfaces off the axis or turned are listed once more, with their vertex and the angles about x, y and z.
 
     Raises
     ------
@@ -56,6 +60,8 @@ def info(system: OpticalSystem) -> str:
         _columns([("field", *_fields(system)), ("wavelength (nm)", *_wavelengths(system))]),
         _columns(_surfaces(system.surfaces, system.stop), right=(1, 2, 3)),
     ]
+    if off := _off_axis(system.surfaces):
+        parts.append(_columns(off, right=(1, 2, 3, 4, 5)))
     parts += [lines for lines in (_vignetting(system), _oblique(system), _two_curvatures(system)) if lines]
     bent = [one for one in system.surfaces if isinstance(one.medium, GradientIndex)]
     if bent:
@@ -216,6 +222,21 @@ def _surfaces(surfaces: Sequence[Surface], stop: int) -> list[tuple[str, ...]]:
             )
         )
     return rows
+
+
+def _off_axis(surfaces: Sequence[Surface]) -> list[tuple[str, ...]]:
+    """Return where surfaces stand that are off the axis or turned; nothing if none is."""
+    turned = np.rad2deg(cardan_angles(np.stack([surface.rotation for surface in surfaces])))
+    placed = np.array([surface.position[:2] for surface in surfaces])
+    places = np.concatenate([placed, turned], axis=1)
+    places[np.abs(places) < _ROUNDING] = 0.0
+    rows = [
+        (surface.name, *map(_number, place))
+        for surface, place in zip(surfaces, places.tolist(), strict=True)
+        if any(place)
+    ]
+    head = ("off the axis", "x (mm)", "y (mm)", "about x (deg)", "about y (deg)", "about z (deg)")
+    return [head, *rows] if rows else []
 
 
 def _medium(surface: Surface) -> str:

@@ -105,6 +105,9 @@ class SurfaceSection(FileSection):
     arms: tuple[Pair, ...] = Field(
         default=(), strict=False, description="spider arms: angle from x in degrees, width in mm"
     )
+    dark_mm: tuple[Pair, ...] = Field(
+        default=(), strict=False, description="corners of a polygon that stops light, counterclockwise"
+    )
     center_mm: Pair = Field(
         default=(0.0, 0.0), strict=False, description="of all of these, beside the vertex"
     )
@@ -137,8 +140,9 @@ class SurfaceSection(FileSection):
     @model_serializer(mode="wrap")
     def _with_keys_of_registered_shapes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         record: dict[str, Any] = handler(self)
-        if self.phase is None:  # stores of such studies go on from before there were any
-            record.pop("phase", None)
+        for key in ("phase", "dark_mm"):  # stores of studies go on from before there were any
+            if not getattr(self, key):
+                record.pop(key, None)
         return record if self._own is None else record | self._own[1].model_dump(mode="json")
 
     @field_validator("radius_mm", mode="before")
@@ -191,6 +195,8 @@ class SurfaceSection(FileSection):
             raise ValueError(
                 f"the surface {self.name} needs at least 3 corners_mm, and no semi_diameter_mm beside them"
             )
+        if self.dark_mm and len(self.dark_mm) < 3:
+            raise ValueError(f"the surface {self.name} needs at least 3 corners of dark_mm")
         if not all(width > 0.0 for _, width in self.arms):
             raise ValueError(f"the surface {self.name} has a spider arm without a positive width")
         if self.fold and self.glass != "mirror":
@@ -303,5 +309,5 @@ def opening_of(section: SurfaceSection) -> Opening | None:
     """Return where a surface lets light through; None: everywhere."""
     outer = np.inf if section.semi_diameter_mm is None else section.semi_diameter_mm
     arms = tuple((float(np.deg2rad(angle)), width) for angle, width in section.arms)
-    opening = Opening(outer, section.inner_mm, section.corners_mm, arms)
+    opening = Opening(outer, section.inner_mm, section.corners_mm, arms, dark=section.dark_mm)
     return None if opening == Opening() else replace(opening, center=section.center_mm)

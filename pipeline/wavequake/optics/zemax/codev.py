@@ -8,7 +8,7 @@ become coordinate breaks (`wavequake.optics.zemax.codev_tilts`), zoom positions 
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from wavequake.errors import UserError
@@ -19,6 +19,7 @@ from wavequake.optics.zemax.codev_gratings import COMMANDS, Grating, with_gratin
 from wavequake.optics.zemax.codev_tilts import TILTS, Tilt, with_breaks
 from wavequake.optics.zemax.codev_zooms import at_position
 from wavequake.optics.zemax.lens_file import LensFile
+from wavequake.optics.zemax.phases import MAX_EVEN_TERMS
 from wavequake.optics.zemax.read import system_of
 from wavequake.optics.zemax.rows import Line, Row, as_number, fail
 
@@ -267,6 +268,19 @@ def _glass(word: str) -> str:
     return f"{maker}:{known.get(name.replace('-', ''), name)}"
 
 
+def _long_asphere(row: Row) -> Row:
+    """Return a row whose even asphere goes beyond r^16 as one of the type that does."""
+    powers = row.table("PARM")
+    if row.type != "EVENASPH" or max(powers) <= MAX_EVEN_TERMS:
+        return row
+    at = row.lines["PARM"][0]
+    values = [max(powers), 1.0, *(powers.get(k, 0.0) for k in range(1, max(powers) + 1))]
+    extra = [Line(at.where, at.number, "XDAT", f"{k} {value!r}") for k, value in enumerate(values, start=1)]
+    kept = {key: lines for key, lines in row.lines.items() if key != "PARM"}
+    kind = Line(at.where, at.number, "TYPE", "XASPHERE")
+    return replace(row, lines={**kept, "TYPE": [kind], "XDAT": extra})
+
+
 def _complete(draft: _Draft) -> None:
     """Add what follows from several commands: apertures, fields, vignetting, the primary wavelength."""
     for number, given in draft.rectangles.items():
@@ -282,6 +296,7 @@ def _complete(draft: _Draft) -> None:
     unit = draft.header["UNIT"][-1].rest if "UNIT" in draft.header else "MM"
     for number, grating in draft.gratings.items():
         draft.rows[number] = with_grating(draft.rows[number], grating, unit)
+    draft.rows = [_long_asphere(row) for row in draft.rows]
     if not any("STOP" in row.lines for row in draft.rows):  # by default the first surface is the stop
         draft.rows[1].lines["STOP"] = [Line(draft.where, draft.rows[1].line.number, "STOP", "")]
     if len(draft.names) > 1:

@@ -2,8 +2,7 @@
 
 A convex polygon is the intersection of the rectangles about it that lie along its edges: three for a hexagon.
 A rectangle that is turned stands on an equal surface between two coordinate breaks about the axis, where the
-shape can be turned back. (Zemax' user-defined apertures are not used: how a lens file refers to them is not
-published, and other programs do not read them.)
+shape can be turned back. (Zemax' user-defined apertures are not used: other programs do not read them.)
 """
 
 import math

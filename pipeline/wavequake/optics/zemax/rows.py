@@ -14,7 +14,7 @@ _HEIGHTS = ("GDAT", "GARR")  # of a surface of the type GRID_SAG
 # Drawing, coatings, mechanical diameters (OEMA is the edge between DIAM and MEMA), thermal data, physical
 # optics; and the solves, variables and pickups whose results are in the file.
 _HARMLESS = (
-    *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "OEMA", "FIMP", "EDGE", "TCED"),
+    *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "OEMA", "FIMP", "EDGE", "TCED", "SCOL"),
     *("MAZH", "PZUP", "PPAR", "PKUP", "VDSZ", "VPAR", "VCON"),
 )
 _KNOWN = frozenset((*OF_SURFACES, *_HARMLESS, *OPENINGS, "UDAD", "SCBD"))

@@ -111,7 +111,7 @@ def described(source: str, overrides: Iterable[str], catalogue: Path | None = No
         As `load_system`; of a lens file that cannot be traced it shows what could be read.
     """
     suffix = Path(source).suffix.lower()
-    if suffix == ".agf":
+    if suffix == ".agf" or (suffix == ".dat" and _holds_rods(Path(source))):
         return _glasses(Path(source))
     if suffix not in ("", ".toml", ".seq", *LENS_FILES):
         from wavequake.mechanics.nodal.describe import FILES, describe  # spares lenses its 0.1 s
@@ -123,6 +123,14 @@ def described(source: str, overrides: Iterable[str], catalogue: Path | None = No
     except LensFileError as error:
         held = f"{error.details}\n\nWhat the file holds, in its own unit:\n{error.read}"
         raise UserError(error, held.lstrip("\n")) from None
+
+
+def _holds_rods(file: Path) -> bool:
+    """Tell whether a file holds materials of rods, and not what finite-element programs write."""
+    try:
+        return bool(read_agf(file))
+    except UserError:
+        return False
 
 
 def _glasses(catalogue: Path) -> str:
