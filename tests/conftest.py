@@ -86,12 +86,16 @@ def undrawn():
 
 
 @pytest.fixture
-def drawn(monkeypatch):
-    """Draw figures in one test of a file that leaves them undrawn."""
-    from wavequake.drawing import style
+def lettered(monkeypatch):
+    """Have figures say on pages what is written in them, in one test of a file that leaves them undrawn."""
+    from matplotlib.text import Text
+
     from wavequake.report import page
 
-    monkeypatch.setattr(page, "svg_text", style.svg_text)
+    def words(figure, salt):
+        return f"<svg>{' '.join(one.get_text() for one in figure.findobj(Text))}</svg>"
+
+    monkeypatch.setattr(page, "svg_text", words)
 
 
 @pytest.fixture(scope="session", autouse=True)

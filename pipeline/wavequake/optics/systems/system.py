@@ -193,6 +193,9 @@ def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> flo
     return float(system.wavelengths[system.primary_wavelength])
 
 
+_ONE = np.eye(3)
+_NEAR_ONE = 1e-9 + 1e-5 * _ONE  # off it are rotations by rounding
+
 # Systems whose fields are known to hold what they should: looking takes as long as a small trace.
 _OF_RIGHT_KIND: WeakValueDictionary[int, OpticalSystem] = WeakValueDictionary()
 
@@ -307,7 +310,7 @@ def _require_surface(system: str, surface: Surface) -> None:
     turn = surface.rotation
     if (
         turn.shape != (3, 3)
-        or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+        or not (np.abs(turn @ turn.T - _ONE) <= _NEAR_ONE).all()
         or np.linalg.det(turn) < 0
     ):
         raise UserError(f"the rotation of {where} must be a rotation matrix (3, 3)")
