@@ -1,4 +1,4 @@
-// Meet surface NUMBER, a conic plus HEIGHT(x, y) along z. With q = z - HEIGHT it is the zero of
+// Meet surface NUMBER, a conic plus HEIGHT(x, y) along z, in the sense of SENSE: of 1, -1 or the ray's d.z. With q = z - HEIGHT it is the zero of
 // F = c (x^2 + y^2 + k1 q^2) - 2 q, which takes neither a root nor a division.
 //
 // One evaluation at the hit of the bare conic gives a Newton step; a second step takes the height there from
@@ -76,7 +76,8 @@ INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, real bare, height there, doub
     }
     r->position = hit;
     r->path += way * (index * r->length);
-    // On the half with the vertex, and crossed in the sense in which the ray crosses the vertex plane.
-    return EITHER(larger(normal->z, dot3(*normal, d) * d.z) < 0.0, (real)0.0, loss);
+    // On the half with the vertex, and crossed in the right sense.
+    return EITHER(larger(normal->z, dot3(*normal, d) * SENSE) < 0.0, (real)0.0, loss);
 }
 #undef NUMBER
+#undef SENSE

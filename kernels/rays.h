@@ -59,10 +59,9 @@ INLINE triple conic_normal(triple p, double c, double k1)
     return normal;
 }
 
-// Step to the conic: of the two roots the one that crosses it in the sense of the direction's z component
-// (Stoerkle 2018, Eq. 3.28 with the sign of d_z), by that form of the quadratic's solution which does not
-// cancel. NaN or infinite without an intersection.
-INLINE real conic_step(triple p, triple d, double c, double k1)
+// Step to the conic: of the two roots the one that crosses it towards +z, or -z where `sense` is negative, by
+// that form of the quadratic's solution which does not cancel. NaN or infinite without an intersection.
+INLINE real conic_step_in_sense(triple p, triple d, double c, double k1, real sense)
 {
     const double ck1 = c * k1;
     real high = ck1 * p.z;
@@ -70,10 +69,13 @@ INLINE real conic_step(triple p, triple d, double c, double k1)
     real b = c * (p.x * d.x + p.y * d.y) + (high - 1.0) * d.z;
     real a = c * (d.x * d.x + d.y * d.y) + ck1 * (d.z * d.z);
     real r = root(b * b - a * f);
-    r = EITHER(d.z < 0.0, -r, r);
+    r = EITHER(sense < 0.0, -r, r);
     mask cancels = b * r > 0.0;
     return EITHER(cancels, -(b + r), f) / EITHER(cancels, a, r - b);
 }
+
+// In the sense of the direction's z component (Stoerkle 2018, Eq. 3.28 with the sign of d_z).
+INLINE real conic_step(triple p, triple d, double c, double k1) { return conic_step_in_sense(p, d, c, k1, d.z); }
 
 INLINE void advance(ray *r, real step)
 {

@@ -223,3 +223,22 @@ def test_instants_at_rest_are_as_if_there_were_no_figure():
     alone = np.stack(sag_and_slopes(element, x[1:2], y[1:2], some[1:2], grid))
     np.testing.assert_array_equal(together[:, 1:2], alone)
     assert np.abs(together[0, 1] - rest[0, 1]).max() > 0.0
+
+
+@pytest.mark.parametrize("device", **NAMES)
+@pytest.mark.parametrize("even", [(), (1e-9,)])
+@pytest.mark.parametrize("sense", [1, -1])
+def test_light_from_the_side_meets_a_sphere_in_the_sense_that_the_element_says(device, even, sense):
+    angle = np.radians(100.0)
+    direction = sense * np.array([0.0, np.sin(angle), np.cos(angle)])
+    place = np.array([[3.0, -4.0], [-30.0, -20.0], [8.0, 6.0]]) - 200.0 * direction[:, None]
+    rays = Rays(place, np.repeat(direction[:, None], 2, axis=1), np.zeros(2))
+    sphere = Element(1.0 / 50.0, even=even, sense=sense)
+    traced = trace_sequence(Sequence((sphere,)), rays, Moving(shifts(0.0)), device)
+    assert (traced.status == OK).all()
+    # From outside it enters at the first of both places on its way, from inside it leaves at the second one.
+    center = np.array([[0.0], [0.0], [50.0]])
+    along = direction @ (center - place)
+    half = np.sqrt(2500.0 - (np.sum((center - place) ** 2, axis=0) - along**2))
+    tolerance = 2e-2 if even else 1e-12
+    np.testing.assert_allclose(traced.path[0], along - sense * half, rtol=0, atol=tolerance)

@@ -252,3 +252,28 @@ def test_a_zoom_position_gives_radii_and_curvatures_whichever_lines_of_surfaces_
     (tmp_path / "zoom.seq").write_text(f"{mode}; LEN; {lens}; ZOO 2; ZOO {zoom}; GO\n")
     radii = [read_seq(tmp_path / "zoom.seq", None, one).surfaces[0].shape.radius for one in (1, 2)]
     assert radii == pytest.approx([50.0, 80.0])
+
+
+SOLVED = """RDM;LEN
+EPD 20.0
+DIM M
+WL 500.0
+SO 0.0 0.1e14
+S 50.000000025 5.0 BK7_SCHOTT
+  STO
+S 1175.711073142907 96.57283085039869
+  CUY UMY -0.1
+  THI HMY 0.0
+SI 0.0 0.0
+"""
+
+
+def test_solves_stand_as_the_numbers_that_they_gave(tmp_path):
+    # The marginal ray, 10 mm high, leaves with the slope -0.1, and meets the axis on the image.
+    (tmp_path / "singlet.seq").write_text(SOLVED)
+    data = paraxial(read_seq(tmp_path / "singlet.seq"))
+    assert data.focal_length == pytest.approx(100.0, rel=1e-12)
+    assert data.defocus == pytest.approx(0.0, abs=1e-10)
+    (tmp_path / "singlet.seq").write_text(SOLVED.replace("THI HMY 0.0", "THI S1 8.0"))
+    with pytest.raises(UserError, match="THI changes the light"):
+        read_seq(tmp_path / "singlet.seq")

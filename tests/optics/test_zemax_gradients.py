@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequence import Moving, Rays
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
 from wavequake.kernels.trace.status import OK
+from wavequake.optics.media.agf import parse_rods
 from wavequake.optics.media.glasses import AIR, constant, glass
-from wavequake.optics.media.gradients import GradientIndex, axial, luneburg, selfoc
+from wavequake.optics.media.gradients import GradientIndex, axial, luneburg, medium_index, selfoc
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening
@@ -238,3 +240,66 @@ def test_the_surface_behind_which_a_medium_begins_keeps_its_shape_and_place():
     assert again[0].shape == Conic(40.0, -0.5)
     np.testing.assert_allclose(again[0].rotation, tilted.surfaces[0].rotation, rtol=0, atol=1e-14)
     np.testing.assert_allclose(again[1].position, tilted.surfaces[1].position, rtol=0, atol=1e-12)
+
+
+RODS = "TEST-ROD\n1.55\n0.0064\n0.4\n0.007\n0.0004\n"
+ROD_FILE = file("TYPE GRINSUR9\n  PARM 1 1.0\n  GLAS TEST-ROD 0 0 1.5 40 0 0", 20.0)
+
+
+def rod_numbers(um):
+    """n0 and g by the maker's formula."""
+    return 1.55 + 0.0064 / um**2, 0.4 + 0.007 / um**2 + 0.0004 / um**4
+
+
+@pytest.mark.parametrize("um", [0.45, 0.9])
+def test_a_rod_of_a_maker_follows_its_formula_at_every_wavelength(um):
+    optics = parse_zmx(ROD_FILE, "rod.zmx", parse_rods(RODS, "rods.dat"))
+    n0, g = rod_numbers(um)
+    assert medium_index(optics.surfaces[0].medium, um * 1e-3) == pytest.approx(n0, rel=1e-15)
+    # n = n0 (1 - g² r² / 2): in a plane with the axis n(r) cos(angle) is kept, and dr/dz follows.
+    rays = bundle([0.3], 0.0)
+    rays.position[1] = 0.0
+    sequence, rest = pack(optics, um * 1e-3), moving(optics, rest_states(optics))
+    traced = trace_sequence_numpy(
+        replace(sequence, elements=sequence.elements[:2]), rays, Moving(rest.poses[:, :2])
+    )
+
+    def index(r):
+        return n0 * (1.0 - g**2 * r**2 / 2.0)
+
+    kept = index(0.3)
+
+    def rates(_, state):
+        r, p, _ = state
+        return [p / kept, -index(r) * n0 * g**2 * r / kept, index(r) ** 2 / kept]
+
+    end = solve_ivp(rates, (0.0, 20.0), [0.3, 0.0, 0.0], method="DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
+    assert traced.x[0, 0] == pytest.approx(end[0], abs=1e-10)
+    assert traced.path[0, 0] == pytest.approx(end[2], abs=1e-9)
+
+
+def test_the_focal_length_of_a_rod_is_that_of_its_color():
+    optics = parse_zmx(ROD_FILE, "rod.zmx", parse_rods(RODS, "rods.dat"))
+    for um in (0.45, 0.9):
+        n0, g = rod_numbers(um)
+        assert paraxial(optics, um * 1e-3).focal_length == pytest.approx(1.0 / (n0 * g * np.sin(g * 20.0)))
+
+
+@pytest.mark.parametrize(
+    ("text", "own", "why"),
+    [
+        (ROD_FILE, {}, "GRADIENT_9.DAT"),
+        (ROD_FILE, {"TEST-ROD": constant(1.5)}, "a glass without a gradient"),
+        (ROD_FILE.replace("UNIT MM", "UNIT IN"), parse_rods(RODS, "rods.dat"), "a file in mm"),
+        (ROD_FILE.replace("PARM 1 1.0", "PARM 2 0.1"), parse_rods(RODS, "rods.dat"), "must be 0"),
+    ],
+)
+def test_a_rod_that_is_not_known_is_refused(text, own, why):
+    with pytest.raises(UserError, match=why):
+        parse_zmx(text, "rod.zmx", own)
+
+
+@pytest.mark.parametrize(("text", "why"), [("", "holds no material"), ("A\n1\n2\n", "five lines")])
+def test_files_of_rods_need_six_lines_each(text, why):
+    with pytest.raises(UserError, match=why):
+        parse_rods(text, "rods.dat")

@@ -45,6 +45,16 @@ def test_a_tilt_of_a_surface_is_a_break_before_and_one_after(lines, after):
         assert one.shape == other.shape
 
 
+def test_a_break_that_is_the_stop_stops_at_the_plane_to_which_it_leads():
+    mine = parsed("STOP; " + a_break(7.0, 1.0, -2.0, 10, 20, 30), "CURV 0.01; GLAS N-BK7; DISZ 5")
+    theirs = parsed(a_break(0.0, 1.0, -2.0, 10, 20, 30), "STOP; DISZ 7", "CURV 0.01; GLAS N-BK7; DISZ 5")
+    assert mine.stop == theirs.stop == 0
+    for one, other in zip(mine.surfaces, theirs.surfaces, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+        np.testing.assert_array_equal(one.rotation, other.rotation)
+        assert (one.shape, one.action) == (other.shape, other.action)
+
+
 def test_a_mirror_that_is_tilted_twice_folds_the_axis():
     system = parsed("STOP; DISZ 20", "GLAS MIRROR; SCBD 1 0 0 0 0 45 0 0; SCBD 2 0 1 0 0 45 0 0; DISZ -30")
     assert system.surfaces[-1].position == pytest.approx([0.0, 30.0, 20.0], abs=1e-12)

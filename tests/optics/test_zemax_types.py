@@ -223,4 +223,19 @@ def test_a_ring_at_the_rim_and_an_obscuration_of_no_size():
     with pytest.raises(UserError, match="0 by 2 mm; both must be positive"):
         read(f"{STOP}\n  SQOB 0 2 0")
     with pytest.raises(UserError, match="an aperture of another form"):
-        parse_zmx(lens(f"{STOP}\n  UDAD 1 1 2 0"), "lens.zmx")
+        parse_zmx(lens(f"{STOP}\n  UDAP 1 1 2 0"), "lens.zmx")
+
+
+@pytest.mark.parametrize("mode", [0, 2])
+def test_of_a_crystal_the_ordinary_ray_is_that_of_a_glass(mode):
+    crystal = "TYPE BIRE__IN\n  PARM 1 {mode}\n  PARM 4 1\n  CURV 0.01\n  GLAS CALCITE\n  DISZ 5"
+    out = "  TYPE BIRE_OUT\n  CURV -0.02\n  DISZ 40"
+    mine = parse_zmx(lens(STOP, "  " + crystal.format(mode=mode), out), "lens.zmx")
+    theirs = parse_zmx(
+        lens(STOP, "  CURV 0.01\n  GLAS CALCITE\n  DISZ 5", "  CURV -0.02\n  DISZ 40"), "lens.zmx"
+    )
+    assert "Of crystals the ordinary ray is traced, as the file does: surface 2." in mine.note
+    for one, other in zip(mine.surfaces, theirs.surfaces, strict=True):
+        assert (one.shape, one.medium, one.action) == (other.shape, other.medium, other.action)
+    with pytest.raises(UserError, match="the extraordinary ray is traced"):
+        parse_zmx(lens(STOP, "  " + crystal.format(mode=1), out), "lens.zmx")

@@ -82,7 +82,8 @@ def _layout(
         place = None if form is None else (form.name, len(form.numbers), len(numbers))
         numbers += () if form is None else form.numbers
         whole = form is not None and form.near is not None
-        rest = (even, tuple(parts), regions, *media, place, whole, _bend_of(element, numbers))
+        bend = _bend_of(element, numbers)
+        rest = (even, tuple(parts), regions, *media, place, whole, bend, element.sense)
         shapes.append(Shape(start, element.action, plane, rotates[number], vacuum, *rest))
         index = behind
     return Layout(tuple(shapes), np.array(numbers))

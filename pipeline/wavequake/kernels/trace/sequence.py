@@ -133,7 +133,8 @@ class Element:
     ``even[k]`` multiplies (x^2 + y^2)^(k + 1). ``deformation_degree``, ``deformation_radius`` and
     ``deformation_basis`` describe the polynomial that is given per instant (-1: none), ``deformation_grid``
     the grid that is given per instant (its own coefficients are ignored). Static and moving parts add up.
-    A ``phase`` acts whatever the action is.
+    A ``phase`` acts whatever the action is. Light that may meet the element twice meets it where it crosses
+    it towards +z (``sense`` 1) or -z (-1); 0: in the sense in which it crosses the vertex plane.
     """
 
     curvature: float = 0.0
@@ -151,6 +152,7 @@ class Element:
     gradient: Gradient | None = None
     form: Form | None = None
     phase: Phase | Focus | None = None
+    sense: Literal[-1, 0, 1] = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -259,7 +259,7 @@ def _meet(
 ) -> tuple[Array, Array]:
     """Move the rays to the element and return its slopes there (Störkle 2018, Algorithm 1)."""
     d = state.direction
-    path = conic_path(state.position, d, element.curvature, element.conic)
+    path = conic_path(state.position, d, element.curvature, element.conic, element.sense)
     missed = np.isnan(path)
     if is_conic(element):
         # The closed form loses some digits to cancellation, which a step of Newton's iteration restores.
@@ -283,8 +283,8 @@ def _meet(
         if not iterating.any():
             break
     _, slope_x, slope_y = sag_and_slopes(element, hit[0], hit[1], deformation, grid)
-    # The ray has to cross the surface in the sense in which it crosses the vertex plane.
-    converged &= (d[2] - slope_x * d[0] - slope_y * d[1]) * d[2] > 0.0
+    # The ray has to cross the surface in the right sense.
+    converged &= (d[2] - slope_x * d[0] - slope_y * d[1]) * (element.sense or d[2]) > 0.0
     state.position, state.path = hit, state.path + index * path
     state.lose(~converged & missed, MISS, number)
     state.lose(~converged, DIVERGED, number)

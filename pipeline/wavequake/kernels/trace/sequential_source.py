@@ -63,7 +63,7 @@ class Shape:
     ``regions`` are (kind, half planes, blocks, where the numbers start); ``even`` is the number of even
     powers and where they start. ``before`` and ``behind`` are media whose index varies. ``form`` is the name
     of a height in closed form, how many numbers it has and where they start; ``whole`` tells whether it is
-    all of the surface, which is a plane without it.
+    all of the surface, which is a plane without it. ``sense`` is that of `Element`.
     """
 
     fixed: int
@@ -79,6 +79,7 @@ class Shape:
     form: tuple[str, int, int] | None = None
     whole: bool = False
     bend: Bend | None = None
+    sense: int = 0
 
     @property
     def bare(self) -> bool:
@@ -113,7 +114,8 @@ def kernel_source(
     lines.append(f"typedef struct {{ __global const double *{', *'.join(fields)}; }} numbers;")
     meet = source("deformed.cl") if deformed else ""
     for i in deformed:
-        lines += [_height(i, shapes[i]), f"#define NUMBER {i}", meet]
+        sense = f"{shapes[i].sense}.0" if shapes[i].sense else "d.z"
+        lines += [_height(i, shapes[i]), f"#define NUMBER {i}", f"#define SENSE {sense}", meet]
     lines += [source("gradient.h")] if any(shape.before for shape in shapes) else []
     for i, shape in enumerate(shapes):
         lines += _follow(i, shape, shape.before) if shape.before else []
@@ -256,6 +258,8 @@ def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[
     index = "r->index" if shape.before else "(real)1.0" if shape.vacuum else f"(real){index}"
     flat = shape.bare and shape.plane
     step = "plane_step(r)" if flat else f"conic_step(r->position, r->direction, {c}, {k1})"
+    if shape.sense and not flat:
+        step = f"conic_step_in_sense(r->position, r->direction, {c}, {k1}, (real){shape.sense}.0)"
     pose = f"shift(r, t.poses + {12 * i});"
     if shape.rotates and together:
         pose = f"rotate_together_and_{pose[:-2]}, direction);"

@@ -40,7 +40,9 @@ def conic_slopes(x: ArrayLike, y: ArrayLike, curvature: ArrayLike, conic: ArrayL
     return np.asarray(factor * x, dtype=np.float64), np.asarray(factor * y, dtype=np.float64)
 
 
-def conic_path(position: Array, direction: Array, curvature: ArrayLike, conic: ArrayLike) -> Array:
+def conic_path(
+    position: Array, direction: Array, curvature: ArrayLike, conic: ArrayLike, sense: int = 0
+) -> Array:
     """Return the path length from a ray's position to the sag branch of a conic.
 
     Störkle 2018, Eq. (3.28), with the root chosen by the sign of the direction's z component, and in the form
@@ -52,6 +54,8 @@ def conic_path(position: Array, direction: Array, curvature: ArrayLike, conic: A
         Position in mm and unit direction in the surface's frame.
     curvature, conic : array_like
         1/R in 1/mm (0 for a plane) and the conic constant.
+    sense : int
+        1 or -1 chooses the root that crosses the conic towards +z or -z instead.
 
     Returns
     -------
@@ -65,7 +69,7 @@ def conic_path(position: Array, direction: Array, curvature: ArrayLike, conic: A
     g = c * (np.sum(position * position, axis=0) + kappa * z * z) - 2.0 * z
     h = -c * (1.0 + kappa * d_z * d_z)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        root = np.where(d_z < 0.0, -1.0, 1.0) * np.sqrt(f * f + h * g)
+        root = np.where((sense or d_z) < 0.0, -1.0, 1.0) * np.sqrt(f * f + h * g)
         path = np.where(f * root < 0.0, (root - f) / h, g / (f + root))
         on_branch = 1.0 - c * (1.0 + kappa) * (z + path * d_z) > 0.0
         return np.where(on_branch & np.isfinite(path), path, np.nan)

@@ -14,6 +14,7 @@ from wavequake.optics.media.environment import STANDARD_C, Thermal
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.text_file import read_text
 
+_OF_A_ROD = 6
 EXPORTED = "CC glasses of an exported lens file"
 """The line that a catalogue written here begins with."""
 
@@ -21,13 +22,16 @@ EXPORTED = "CC glasses of an exported lens file"
 def read_agf(path: str | Path) -> dict[str, Medium]:
     """Return the glasses of an .agf file (UTF-16, UTF-8 or Latin-1) by their names in upper case.
 
+    A file .dat holds the materials of rods instead, as `parse_rods` takes them.
+
     Raises
     ------
     UserError
         If the file cannot be read, holds no glass, or a number or formula of a glass makes no sense; the
         message names file and line.
     """
-    return parse_agf(read_text(path, "glass catalogue"), str(path))
+    parse = parse_rods if Path(path).suffix.lower() == ".dat" else parse_agf
+    return parse(read_text(path, "glass catalogue"), str(path))
 
 
 def parse_agf(text: str, where: str) -> dict[str, Medium]:
@@ -69,6 +73,24 @@ def parse_agf(text: str, where: str) -> dict[str, Medium]:
         raise UserError(
             f"{where} holds no glass; each needs lines NM (name, formula), CD (coefficients), LD (range)."
         )
+    return found
+
+
+def parse_rods(text: str, where: str) -> dict[str, Medium]:
+    """Return the materials of rods that GRADIENT_9.DAT holds: six lines each, name, B, C, K0, K1 and K2."""
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    found: dict[str, Medium] = {}
+    for start in range(0, len(lines), _OF_A_ROD):
+        (number, name), *rest = lines[start : start + _OF_A_ROD]
+        if len(rest) < _OF_A_ROD - 1:
+            raise UserError(
+                f"{where}, line {number}: the rod {name[:20]} needs five lines of numbers below its name, B, "
+                "C, K0, K1 and K2."
+            )
+        numbers = tuple(_number(word, f"{where}, line {place}") for place, word in rest)
+        found[name.upper()] = Medium(name, "selfoc", numbers, catalogue=Path(where).stem.upper())
+    if not found:
+        raise UserError(f"{where} holds no material; each needs six lines: name, B, C, K0, K1 and K2.")
     return found
 
 

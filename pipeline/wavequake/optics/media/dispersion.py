@@ -100,6 +100,11 @@ FORMULAS: dict[str, Formula] = {
         _powers(1, 2, -1, -2, -3, -4, -5, -6),
         "n^2 = k0 + k1 w^2 + k2 w^4 + k3 w^-2 + k4 w^-4 + ... + k8 w^-12",
     ),
+    "selfoc": Formula(
+        (5,),
+        lambda k, w2: _square(k[0] + k[1] / w2),
+        "n = k0 + k1 / w^2 on the axis of a rod, where GRINSUR9 takes k2 to k4 for the gradient",
+    ),
 }
 """Formulas by name."""
 

@@ -17,8 +17,11 @@ from wavequake.kernels.trace.sequence import Gradient
 from wavequake.optics.checks import alike, number
 from wavequake.optics.media.glasses import Medium, constant, refractive_index
 
+SELFOC = "selfoc"
+"""Formula of rods whose maker gives index and gradient by the wavelength."""
 _SHORTEST = 1e-2  # step, relative to the default
 _STEPS_PER_SCALE = 100.0  # default steps on the length over which the index changes
+_STEPS_OF_RODS = 400.0  # which are many such lengths long, over which errors add up
 _MOST_GROWTH = 36.0  # by its exponential the last digit of where a ray starts becomes all of where it ends
 
 
@@ -27,7 +30,7 @@ class GradientIndex:
     """A medium with n² = n0² + sum radial[k] r^(2 k + 2) + sum axial[k] z^(k + 1), in powers of 1/mm.
 
     ``base`` gives n0, the index at the vertex, at each wavelength. ``step`` (mm) is how far a ray goes at a
-    time; None chooses it by `default_step`.
+    time; None chooses it by `default_step`. A base of the formula "selfoc" gives the powers, too.
     """
 
     name: str
@@ -62,6 +65,19 @@ def selfoc(
         share * _power(index, 2) * _power(constant_per_mm, 2 * k) for k, share in enumerate(shares, start=1)
     )
     return GradientIndex("SELFOC", constant(index), radial, (), step)
+
+
+def powers_at(medium: GradientIndex, wavelength_mm: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the radial and the axial powers of n² at a wavelength.
+
+    Rods of the formula "selfoc" have n = n0 (1 - g² r² / 2) with g = k2 + k3 / w² + k4 / w⁴ per mm, w in µm.
+    """
+    if medium.base.formula != SELFOC:
+        return medium.radial, medium.axial
+    squared, wave = medium_index(medium, wavelength_mm) ** 2, (1e3 * wavelength_mm) ** 2
+    _, _, *terms = medium.base.coefficients
+    strength = sum(term / wave**power for power, term in enumerate(terms)) ** 2
+    return (-squared * strength, squared * strength**2 / 4.0), ()
 
 
 def axial(coefficients: tuple[float, ...], step: float | None = None) -> GradientIndex:
@@ -124,16 +140,20 @@ def gradient_of(medium: Medium | GradientIndex, wavelength_mm: float) -> Gradien
             f"the step of {step:g} mm through {medium.name} takes more than {1 / _SHORTEST:g} times as many "
             f"steps as the default, {default:.3g} mm, which is exact to 1e-11 of the way; take a longer one"
         )
-    return Gradient(medium.radial, medium.axial, step)
+    return Gradient(*powers_at(medium, wavelength_mm), step)
 
 
 def default_step(medium: GradientIndex, wavelength_mm: float) -> float:
-    """Return a hundredth of the length over which the strongest term changes n² by itself, mm."""
+    """Return a hundredth of the length over which the strongest term changes n² by itself, mm.
+
+    Of rods of the formula "selfoc" a quarter of that.
+    """
     squared = medium_index(medium, wavelength_mm) ** 2
-    terms = [(abs(c), 2 * k) for k, c in enumerate(medium.radial, start=1)]
-    terms += [(abs(c), k) for k, c in enumerate(medium.axial, start=1)]
+    across, along = powers_at(medium, wavelength_mm)
+    terms = [(abs(c), 2 * k) for k, c in enumerate(across, start=1)]
+    terms += [(abs(c), k) for k, c in enumerate(along, start=1)]
     lengths = [float((squared / c) ** (1.0 / power)) for c, power in terms if c]
-    return min(lengths) / _STEPS_PER_SCALE
+    return min(lengths) / (_STEPS_PER_SCALE if medium.base.formula != SELFOC else _STEPS_OF_RODS)
 
 
 def require_gradient(medium: GradientIndex) -> None:
@@ -141,7 +161,7 @@ def require_gradient(medium: GradientIndex) -> None:
     numbers = (*medium.radial, *medium.axial)
     if not all(isfinite(number) for number in numbers):
         raise UserError(f"the gradient of {medium.name} holds numbers that are not finite")
-    if not any(numbers):
+    if not any(numbers) and medium.base.formula != SELFOC:
         raise UserError(f"the medium {medium.name} has no gradient: give a constant index instead")
     if medium.step is not None and not (isfinite(medium.step) and medium.step > 0.0):
         raise UserError(f"the step through {medium.name} is {medium.step} mm; it must be positive")
@@ -173,11 +193,12 @@ def paraxial_transfer(
     nodes, weights = np.polynomial.legendre.leggauss(32)
     places = start + sense * way * 0.5 * (nodes + 1.0)
     t = 0.5 * way * float(np.sum(weights / axis_index(medium, wavelength_mm, places)))
-    frequency = cmath.sqrt(-medium.radial[0] if medium.radial else 0.0)
+    across, _ = powers_at(medium, wavelength_mm)
+    frequency = cmath.sqrt(-across[0] if across else 0.0)
     growth = abs((frequency * t).imag)
     if not growth < _MOST_GROWTH:
         raise UserError(
-            f"the index of {medium.name} rises so steeply off the axis (radial[0] = {medium.radial[0]:g} per "
+            f"the index of {medium.name} rises so steeply off the axis (radial[0] = {across[0]:g} per "
             f"mm^2) that {way:g} mm of it throw light exp({growth:.3g}) times as far off it; in a "
             "medium that focuses it falls (radial[0] < 0)"
         )

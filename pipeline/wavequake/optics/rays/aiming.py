@@ -13,7 +13,7 @@ from wavequake.kernels.trace.status import DIVERGED, MISS, NO_ORDER, OK, TOTAL_R
 from wavequake.optics.media.glasses import refractive_index
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.search import ends, search
-from wavequake.optics.rays.stop_map import AIMED, Aim, Bundle, determinant, newton, solved
+from wavequake.optics.rays.stop_map import AIMED, Aim, Bundle, axes_across, determinant, newton, solved
 from wavequake.optics.systems.axis_ray import first_vertex_z
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import (
@@ -22,7 +22,7 @@ from wavequake.optics.systems.paraxial import (
     paraxial,
     way_from_object,
 )
-from wavequake.optics.systems.system import OpticalSystem
+from wavequake.optics.systems.system import OpticalSystem, field_direction, is_wide
 
 Array = NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def aimed_rays(
     if x.ndim != 1 or x.shape != y.shape or not np.isfinite([*x, *y]).all():
         raise UserError("the pupil coordinates x and y must be two equally long lists of finite numbers")
     data = paraxial(system, wavelength)
-    bundle, start = _bundle(system, data, field, wavelength)
+    bundle, start = _bundle(system, data, field, wavelength, is_wide(field))
     to_stop, poses = _up_to_stop(system, wavelength)
     radius = data.stop_radius
     beam = _beam_size(system, data, wavelength)
@@ -168,7 +168,7 @@ def _followed_chief(
     zero = np.zeros((2, 1))
     before: tuple[float, Array] | None = None
     at, step = 0.0, _FIRST_STEP
-    bundle, start = _bundle(system, data, 0.0 * field, wavelength)
+    bundle, start = _bundle(system, data, 0.0 * field, wavelength, is_wide(field))
     at_axis = replace(aim, bundle=bundle)
     for begin in (start[:, None], zero):  # first-order data are coarse where all stands off the axis
         here = newton(at_axis, begin, zero)
@@ -178,7 +178,7 @@ def _followed_chief(
         return None
     while at < 1.0:
         goal = min(at + step, 1.0)
-        bundle, start = _bundle(system, data, goal * field, wavelength)
+        bundle, start = _bundle(system, data, goal * field, wavelength, is_wide(field))
         one = replace(aim, bundle=bundle)
         guess = here if begin is zero else start[:, None]
         if before is not None:  # goes on straight
@@ -238,7 +238,7 @@ def require_light(system: OpticalSystem) -> None:
     for wavelength in map(float, system.wavelengths):
         data = paraxial(system, wavelength)
         for field in system.fields:
-            _bundle(system, data, field, wavelength)
+            _bundle(system, data, field, wavelength, is_wide(field))
 
 
 def _require_distance(system: OpticalSystem) -> None:
@@ -247,8 +247,14 @@ def _require_distance(system: OpticalSystem) -> None:
         raise UserError(f"the object of {system.name} stands in the first surface; move it off")
 
 
-def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: float) -> tuple[Bundle, Array]:
-    """Return the bundle of a field point and the numbers of its paraxial chief ray."""
+def _bundle(
+    system: OpticalSystem, data: Paraxial, field: Array, wavelength: float, wide: bool
+) -> tuple[Bundle, Array]:
+    """Return the bundle of a field point and the numbers of its paraxial chief ray.
+
+    Light of `wide` fields sets out from a plane at right angles to it, through which it goes towards the
+    center of the entrance pupil.
+    """
     index = refractive_index(system.medium, wavelength)
     first = first_vertex_z(system)
     if not isfinite(system.object_distance):
@@ -257,6 +263,10 @@ def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: flo
                 f"the object and the entrance pupil of {system.name} are both at infinity; move the stop"
             )
         center = entrance_pupil_center(system, wavelength)
+        if wide:
+            direction = field_direction(field)
+            origin = center - 2.0 * abs(first - center[2]) * direction
+            return Bundle(origin, direction, center, index, axes_across(direction)), np.zeros(2)
         direction = np.array([*np.tan(field), 1.0])
         chief = center + (first - center[2]) * direction
         direction /= np.linalg.norm(direction)

@@ -7,9 +7,9 @@ from wavequake.kernels.trace.sequential_numpy import LOST_RAYS_ARE_DATA, walk
 from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.aiming import aimed_rays
 from wavequake.optics.rays.packing import moving, pack
-from wavequake.optics.systems.axis_ray import follow_axis
+from wavequake.optics.systems.axis_ray import senses
 from wavequake.optics.systems.kinematics import rest_states
-from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_of
+from wavequake.optics.systems.system import OpticalSystem, Surface, is_wide, wavelength_of
 
 # The chief ray and four marginal rays.
 _X, _Y = np.array([0.0, 1.0, -1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, -1.0])
@@ -21,13 +21,13 @@ def other_points(system: OpticalSystem) -> list[str]:
 
     A ray that leaves a mirror forwards meets a sphere twice. Here it takes the point at which it crosses the
     sphere in the sense in which it crosses the vertex plane; OpticStudio takes the other one in its sample
-    Shafer1980. Where a field's rays cannot be aimed it says nothing.
+    Shafer1980. Where a field's rays cannot be aimed it says nothing. Where fields are wide, all surfaces are
+    met in the sense of the axis ray.
     """
+    if np.isinf(system.object_distance) and is_wide(system.fields):
+        return []
     wavelength = wavelength_of(system)
-    senses, direction = [], np.array([0.0, 0.0, 1.0])
-    for surface, step in zip(system.surfaces, follow_axis(system, wavelength), strict=True):
-        senses.append(float(direction @ surface.rotation[:, 2]))
-        direction = step.direction
+    sense = senses(system, wavelength)
     sequence, rest = pack(system, wavelength), moving(system, rest_states(system))
     found: set[int] = set()
     for field in system.fields:
@@ -38,7 +38,7 @@ def other_points(system: OpticalSystem) -> list[str]:
         behind = rays.direction
         for number, (state, _) in enumerate(walk(sequence, rays, rest, ignore_apertures=True)):
             turn = rest.poses[0, number, :9].reshape(3, 3)
-            against = (turn[2] @ behind) * senses[number] < 0.0
+            against = (turn[2] @ behind) * sense[number] < 0.0
             if _decides(system, number) and (against & (state.status[0] == OK)).any():
                 found.add(number)
             behind = state.direction[:, 0]

@@ -20,9 +20,17 @@ from wavequake.optics.shapes.heights import centered_grid, require_grid
 from wavequake.optics.shapes.phases import PerfectLens, phase_of
 from wavequake.optics.shapes.polygons import edge_spans, signed_areas
 from wavequake.optics.shapes.shapes import GridDeformation, Opening, ZernikeDeformation
+from wavequake.optics.systems.axis_ray import senses
 from wavequake.optics.systems.kinematics import relative_poses, require_motion, rest_poses
 from wavequake.optics.systems.paraxial import entrance_pupil_center, vergence_before
-from wavequake.optics.systems.system import LARGEST, OpticalSystem, States, Surface, require_system
+from wavequake.optics.systems.system import (
+    LARGEST,
+    OpticalSystem,
+    States,
+    Surface,
+    is_wide,
+    require_system,
+)
 from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
@@ -61,6 +69,9 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
             elements.append(element)
         except UserError as error:
             raise UserError(f"the surface {surface.name} of {system.name}: {error}") from error
+    if np.isinf(system.object_distance) and is_wide(system.fields):  # a ray's own z has no sense there
+        pairs = zip(elements, senses(system, wavelength_mm), strict=True)
+        elements = [replace(element, sense=1 if sense > 0.0 else -1) for element, sense in pairs]
     return Sequence(tuple(elements), start)
 
 

@@ -17,6 +17,7 @@ from wavequake.kernels.trace.sequence import Moving, Rays, Sequence
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.derivatives.central import gradient
 from wavequake.optics.rays.packing import moving
+from wavequake.optics.rays.stop_map import axes_across
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.system import OpticalSystem, States
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 
 _CENTERED = 1e-9  # distance of a chief ray from the center of the stop that is left alone, mm
 _STEPS = 20
+_SIDEWAYS = 1e-3  # z of directions along which a shift along x and y hardly moves light
 _DIFFERENCE = 1e-5  # step of the differences, as a share of the stop's distance or size, rad or 1
 
 
@@ -128,7 +130,8 @@ def _moved(light: Moving, chief: Rays, numbers: Array, far: bool) -> Moving:
     first = light.poses[:, 0].copy()
     rotation = first[:, :9].reshape(-1, 3, 3)
     if far:
-        shift = flat
+        wide = chief.direction[2, 0] < _SIDEWAYS
+        shift = numbers @ axes_across(chief.direction[:, 0]).T if wide else flat
     else:
         turn, point = cardan(flat), chief.position[:, 0]
         shift = point - _product(turn, point[None, :, None])[..., 0]

@@ -21,13 +21,15 @@ class Bundle:
     """The rays of a field point by two numbers each: where they cross a plane, or their slopes.
 
     ``origin`` (3,) is a point of that plane or the object point, ``direction`` (3,) that of all rays of an
-    infinitely far object or None, ``reference`` (3,) where the wave of such an object has the phase 0.
+    infinitely far object or None, ``reference`` (3,) where the wave of such an object has the phase 0. The
+    plane is upright to the axis, or has the axes ``across`` (3, 2).
     """
 
     origin: Array
     direction: Array | None
     reference: Array
     index: float
+    across: Array | None = None
 
     def rays(self, numbers: Array) -> Rays:
         """Return the rays of the numbers (2, N)."""
@@ -37,10 +39,17 @@ class Bundle:
             direction /= np.sqrt(np.sum(direction**2, axis=0))
             position = np.broadcast_to(self.origin[:, None], direction.shape).copy()
             return Rays(position, direction, np.zeros(numbers.shape[1]))
-        position = flat + self.origin[:, None]
+        position = (flat if self.across is None else self.across @ numbers) + self.origin[:, None]
         direction = np.broadcast_to(self.direction[:, None], position.shape).copy()
         path = self.index * (self.direction @ (position - self.reference[:, None]))
         return Rays(position, direction, path)
+
+
+def axes_across(direction: Array) -> Array:
+    """Return two axes (3, 2) at right angles to a direction: x and y, turned as z turns to it."""
+    x, y, z = direction
+    share = 1.0 / (1.0 + z)
+    return np.array([[1.0 - share * x * x, -share * x * y], [-share * x * y, 1.0 - share * y * y], [-x, -y]])
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,15 @@ def follow_axis(system: OpticalSystem, wavelength: float) -> Iterator[AxisStep]:
         index = after
 
 
+def senses(system: OpticalSystem, wavelength: float) -> list[float]:
+    """Return the cosine of the axis ray and the z axis of each surface before it: its sign is the sense."""
+    found, direction = [], np.array([0.0, 0.0, 1.0])
+    for surface, step in zip(system.surfaces, follow_axis(system, wavelength), strict=True):
+        found.append(float(direction @ surface.rotation[:, 2]))
+        direction = step.direction
+    return found
+
+
 def off_axis(system: OpticalSystem) -> list[Array]:
     """Return x and y of each vertex about the axis ray, in a frame that mirrors and gratings turn with it."""
     offsets = []

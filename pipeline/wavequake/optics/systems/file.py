@@ -22,7 +22,7 @@ the axis on which the later surfaces stand; every other tilt and decenter moves 
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,7 @@ from wavequake.optics.systems.surface_file import (
     opening_of,
     shape_of,
 )
-from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.systems.system import STRONGEST, Apodization, OpticalSystem, Pupil, Surface
 from wavequake.optics.text_file import read_text
 from wavequake.optics.zemax.read import parse_zmx, read_zmx
 
@@ -83,6 +83,12 @@ class SystemSection(FileSection):
     image_na: float | None = Field(default=None, gt=0)
     stop_radius_mm: float | None = Field(default=None, gt=0)
     pupil_obscuration: float | None = Field(default=None, ge=0, lt=1, description="inner over outer radius")
+    pupil_apodization: Literal["uniform", "gaussian", "cosine_cubed"] | None = Field(
+        default=None, description="of the light's amplitude over the pupil"
+    )
+    apodization_factor: float | None = Field(
+        default=None, ge=0, le=STRONGEST, description="G of the Gaussian exp(-G rho^2)"
+    )
     object_distance_mm: float | None = Field(default=None, description="None is infinity")
     fields_deg: Pairs = Field(default=None, strict=False, min_length=1)
     fields_arcmin: Pairs = Field(default=None, strict=False, min_length=1)
@@ -93,10 +99,11 @@ class SystemSection(FileSection):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out glasses and configuration if there are none: stores go on from before there were any."""
+        """Leave out what there is none of: stores go on from before these keys were any."""
         record: dict[str, Any] = write(self)
-        if self.configuration is None:
-            record.pop("configuration", None)
+        for key in ("configuration", "pupil_apodization", "apodization_factor"):
+            if getattr(self, key) is None:
+                record.pop(key, None)
         if not self.glass:
             record.pop("glass", None)
         return record
@@ -116,6 +123,8 @@ class SystemSection(FileSection):
         fields = [key for key in _FIELDS if getattr(self, key) is not None]
         if len(fields) > 1:
             raise ValueError(f"{' and '.join(fields)} are given; choose one")
+        if (self.pupil_apodization == "gaussian") != (self.apodization_factor is not None):
+            raise ValueError('apodization_factor belongs to pupil_apodization = "gaussian", which needs it')
         if self.wavelengths_nm and min(self.wavelengths_nm) <= 0:
             raise ValueError("wavelengths_nm must be positive")
         if self.surface:
@@ -204,9 +213,12 @@ def _changed(system: OpticalSystem, section: SystemSection) -> OpticalSystem:
     for key, kind in _PUPILS.items():
         value = getattr(section, key)
         if value is not None:
-            pupil = Pupil(kind, value, pupil.obscuration)  # type: ignore[arg-type]
+            pupil = replace(pupil, kind=kind, value=value)
     if section.pupil_obscuration is not None:
         pupil = replace(pupil, obscuration=section.pupil_obscuration)
+    if section.pupil_apodization is not None:
+        kind, factor = section.pupil_apodization, section.apodization_factor or 0.0
+        pupil = replace(pupil, apodization=None if kind == "uniform" else Apodization(kind, factor))
     waves, primary = system.wavelengths, system.primary_wavelength
     if section.wavelengths_nm is not None:
         waves, primary = np.array(section.wavelengths_nm) * MM_PER_NM, 0

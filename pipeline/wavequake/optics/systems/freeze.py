@@ -25,7 +25,7 @@ from wavequake.optics.shapes.shapes import (
 from wavequake.optics.systems.bodies import beam_extents
 from wavequake.optics.systems.kinematics import at_instant, moved_poses
 from wavequake.optics.systems.on_grid import on_grid
-from wavequake.optics.systems.system import OpticalSystem, States, Surface
+from wavequake.optics.systems.system import OpticalSystem, States, Surface, is_wide
 
 Array = NDArray[np.float64]
 
@@ -75,6 +75,8 @@ def frozen(system: OpticalSystem, states: States, instant: int = 0) -> OpticalSy
 
 def _turned(fields: Array, turn: Array) -> Array:
     """Return the angles of fields whose directions a rotation turns."""
+    if is_wide(fields):
+        raise UserError("Light that turns and comes from 85 degrees off the axis or more cannot be written.")
     slopes = np.tan(fields)
     directions = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1) @ turn.T
     angles: Array = np.arctan(directions[:, :2] / directions[:, 2:])

@@ -17,6 +17,7 @@ from wavequake.optics.shapes.forms.toroid import Toroid
 from wavequake.optics.shapes.grid_cover import require_cover
 from wavequake.optics.shapes.phases import effect_words
 from wavequake.optics.shapes.shapes import Opening
+from wavequake.optics.systems.apodization import pupil_amplitude
 from wavequake.optics.systems.image_aperture import real_apertures
 from wavequake.optics.systems.paraxial import Paraxial, oblique_surfaces, paraxial
 from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_of
@@ -94,14 +95,27 @@ def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]
         ("exit pupil", _pupil(data.exit_pupil, data.exit_pupil_diameter, "from image")),
         ("stop", f"{system.surfaces[system.stop].name}, radius {_length(data.stop_radius)}"),
         ("obscuration", f"{_number(system.pupil.obscuration)} of the pupil's radius"),
-        ("Lagrange invariant", _length(data.lagrange)),
     ]
+    if system.pupil.apodization is not None:
+        rows.append(("apodization", _apodization(system)))
+    if isfinite(data.lagrange):
+        rows.append(("Lagrange invariant", _length(data.lagrange)))
     if not far:
         rows[1:1] = [
             ("magnification", _number(data.magnification)),
             ("NA in object", _aperture(data.object_na, before)),
         ]
     return rows
+
+
+def _apodization(system: OpticalSystem) -> str:
+    """Say how the light falls towards the rim of the pupil."""
+    given = system.pupil.apodization
+    rim = pupil_amplitude(system, np.ones(1), np.zeros(1))
+    light = "uniform here" if rim is None else f"{float(rim[0]) ** 2:.4g} of the central light at the rim"
+    if given is not None and given.kind == "gaussian":
+        return f"Gaussian, factor {_number(given.factor)}: {light}"
+    return f"cosine cubed, of a point source: {light}"
 
 
 def _aperture(paraxial_na: float, real: Array | None) -> str:

@@ -8,7 +8,7 @@ Distances count along the light: a mirror does not change their sign.
 """
 
 from dataclasses import dataclass
-from math import inf, isfinite, tan
+from math import inf, isfinite, pi, tan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,8 @@ class Paraxial:
     f_number : float
         1 / (2 NA) in the image space.
     lagrange : float
-        n (y_chief u_marginal - y_marginal u_chief) of the largest field (Lagrange invariant).
+        n (y_chief u_marginal - y_marginal u_chief) of the largest field (Lagrange invariant); NaN from 90
+        degrees on.
     pupil_magnification : float
         Entrance pupil over stop, negative where it is upside down.
     """
@@ -290,6 +291,8 @@ def _chief(system: OpticalSystem, to_stop: Array, index: float) -> Array:
     """Return the chief ray (y, n u) of the largest field at the first surface."""
     field = float(np.max(np.hypot(system.fields[:, 0], system.fields[:, 1])))
     if not isfinite(system.object_distance):
+        if not field < pi / 2.0:
+            return np.array([np.nan, np.nan])
         slope = index * tan(field)
         if to_stop[0, 0] == 0.0:
             return np.array([np.nan, slope])

@@ -30,7 +30,10 @@ from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
+_WIDE = np.deg2rad(85.0)  # where light hardly crosses a plane that is upright to the axis
 _SMALLEST, LARGEST = 1e-9, 1e12  # apertures and distances, mm: products of some of them do not overflow
+STRONGEST = 20.0
+"""Largest factor of an apodization: its rim has 4e-18 of the central light."""
 
 
 @dataclass(frozen=True)
@@ -57,17 +60,31 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Apodization:
+    """How the amplitude of the light falls from 1 at the pupil's center, as OpticStudio defines it.
+
+    "gaussian": exp(-factor rho^2) at the share rho of the pupil's radius. "cosine_cubed": that of a point
+    source which lights the plane of the entrance pupil, (1 + (rho tan(alpha))^2)^(-3/4) with the paraxial
+    marginal ray's angle alpha in the object space; it has no factor, and is 1 for an object at infinity.
+    """
+
+    kind: Literal["gaussian", "cosine_cubed"]
+    factor: float = 0.0
+
+
+@dataclass(frozen=True)
 class Pupil:
     """How wide the beam is: one number, of the kind that the system is specified by.
 
     "entrance_diameter" (mm), "image_na", "object_na", "f_number" (paraxial image-space), or "stop" (the stop
     surface's opening limits the beam; ``value`` is its radius in mm). ``obscuration`` is the inner radius as
-    a fraction of the outer.
+    a fraction of the outer. Without an ``apodization`` the light is uniform.
     """
 
     kind: Literal["entrance_diameter", "image_na", "object_na", "f_number", "stop"]
     value: float
     obscuration: float = 0.0
+    apodization: Apodization | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -84,7 +101,7 @@ class OpticalSystem:
     object_distance : float
         From the object plane to the first surface's vertex; infinite for a star.
     fields : ndarray, shape (F, 2)
-        Angles (tan of them is the slope) for an infinite object, heights in mm for a finite one.
+        Angles for an infinite object (see `field_direction`), heights in mm for a finite one.
     wavelengths : ndarray, shape (W,)
         mm.
     primary_wavelength : int
@@ -237,8 +254,13 @@ def require_system(system: OpticalSystem) -> None:
             f"{name} is telecentric in the object space, where its object is at infinity; give the object a "
             "finite distance"
         )
-    if np.isinf(system.object_distance) and not (np.abs(system.fields) < np.pi / 2.0).all():
-        raise UserError(f"a field of {name} lies 90 degrees or more off the axis; its light does not come in")
+    if np.isinf(system.object_distance):
+        beyond = np.abs(system.fields) >= np.pi / 2.0
+        if beyond.all(axis=1).any() or not (np.abs(system.fields) < np.pi).all():
+            raise UserError(
+                f"a field of {name} lies 90 degrees or more off the axis along both x and y, or 180 along "
+                "one; its light does not come in"
+            )
     _require_pupil(system)
     medium: Medium | GradientIndex = system.medium
     for surface in system.surfaces:
@@ -271,6 +293,22 @@ def _require_pupil(system: OpticalSystem) -> None:
         raise UserError(
             f"the pupil of {system.name} is obscured to {pupil.obscuration} of its radius; light passes "
             "where that is at least 0 and less than 1"
+        )
+    given = pupil.apodization
+    if given is None:
+        return
+    if given.kind not in ("gaussian", "cosine_cubed"):
+        raise UserError(
+            f"the apodization of {system.name} is {given.kind!r}; it can be 'gaussian' or 'cosine_cubed'"
+        )
+    if not 0.0 <= given.factor <= STRONGEST:
+        raise UserError(
+            f"the apodization of {system.name} has the factor {given.factor:g}; it must be from 0 to "
+            f"{STRONGEST:g}"
+        )
+    if system.segmented is not None:
+        raise UserError(
+            f"the pupil of {system.name} is apodized, but the images of segments are of uniform light"
         )
 
 
@@ -327,6 +365,24 @@ def _require_deformation(where: str, form: Deformation | None) -> None:
             f"{where} deforms on a grid of {form.rows} rows and {form.columns} columns, {form.dx} and "
             f"{form.dy} mm apart; it needs at least 4 of each and positive spacings"
         )
+
+
+def is_wide(fields: Array) -> bool:
+    """Tell whether light of a field at infinity comes from the side or from behind, from 85 degrees on."""
+    return bool((np.abs(fields) >= _WIDE).any())
+
+
+def field_direction(field: Array) -> Array:
+    """Return the direction (3,) of light of a field (2,) at infinity: tan of the angles are its slopes.
+
+    From 90 degrees on, light goes on turning: that of (0, 100) degrees runs along +y and a little along -z.
+    """
+    if is_wide(field):
+        (sine_x, sine_y), (cosine_x, cosine_y) = np.sin(field), np.cos(field)
+        direction = np.array([sine_x * cosine_y, cosine_x * sine_y, cosine_x * cosine_y])
+    else:
+        direction = np.array([*np.tan(field), 1.0])
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ _MOVES_LIGHT = frozenset(
         *("ELX", "ELY"),
     )
 )
+_SOLVED = ("CUY", "RDY", "THI")  # of which a solve may say the value
 _HARMLESS = frozenset(
     (
         *(
@@ -185,10 +186,17 @@ def _take(draft: _Draft, line: Line) -> None:
         fail(line, "the apodization of the pupil (PUI) is not supported; choose a uniform one")
     elif draft.rows and _of_surface(draft, line):
         return
+    elif keyword in _SOLVED and draft.rows and _is_solve(line):
+        return  # the number that it gave stands in the surface
     elif keyword in _MOVES_LIGHT:
         fail(line, f"{keyword} changes the light and is not supported")
     elif keyword not in _HARMLESS and not keyword.startswith(("^", "'", '"')):
         draft.header.setdefault(keyword, []).append(line)
+
+
+def _is_solve(line: Line) -> bool:
+    """Tell whether a command names a solve of the surface before it, such as ``THI HMY 0.0``."""
+    return re.fullmatch(r"[A-Z]{2,3}", (line.words or [""])[0].upper()) is not None
 
 
 def _of_surface(draft: _Draft, line: Line) -> bool:

@@ -7,6 +7,8 @@ With r² = x² + y² about the vertex of the surface that begins the medium:
 - Gradient 2 (GRINSUR2): n² = n0 + nr2 r² + nr4 r⁴ + ... + nr12 r¹²
 - Gradient 3 (GRINSUR3): n = n0 + nr2 r² + nr4 r⁴ + nr6 r⁶ + nz1 z + nz2 z² + nz3 z³
 - Gradient 5 (GRINSUR5): n = n0 + nr2 r² + nr4 r⁴ + nz1 z + nz2 z² + nz3 z³ + nz4 z⁴, and two tilts
+- Gradient 9 (GRINSUR9): a step, two tilts, and a material by name, n = n0 (1 - A r² / 2) with
+  n0 = B + C / w² and A = (K0 + K1 / w² + K2 / w⁴)² of the wavelength in µm; its maker gives these numbers
 
 `GradientIndex` holds n² as a sum of powers of r² and of z, so a medium that varies along and across, whose
 square mixes both, is refused. The step is chosen anew: it says how another program works.
@@ -18,12 +20,13 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.optics.media.glasses import Medium, constant
-from wavequake.optics.media.gradients import GradientIndex, default_step
+from wavequake.optics.media.gradients import SELFOC, GradientIndex, default_step
 from wavequake.optics.shapes.shapes import Conic
 from wavequake.optics.systems.system import Surface
 from wavequake.optics.zemax.rows import Row, fail, require_no_numbers, written
 
 NAME = "gradient"
+ROD = "GRINSUR9"
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,22 @@ def gradient(row: Row, scale: float) -> Medium | GradientIndex:
         return GradientIndex(NAME, constant(base**0.5), across)
     radial, axial = (_squared(base, numbers) for numbers in (across, along))
     return GradientIndex(NAME, constant(base), radial, axial)
+
+
+def rod(row: Row, medium: Medium, scale: float) -> GradientIndex:
+    """Return the medium that a surface GRINSUR9 begins, of a material with the formula "selfoc".
+
+    Raises
+    ------
+    UserError
+        If the glass is no such material, the surface is tilted, or lengths of the file are not mm.
+    """
+    require_no_numbers(row, "PARM", {k: value for k, value in row.table("PARM").items() if k != 1})
+    if medium.formula != SELFOC:
+        fail(row.line, f"{row.label} begins a rod of {medium.name}, which is a glass without a gradient")
+    if scale != 1.0:
+        fail(row.line, f"{row.label} begins a rod, whose numbers are those of a file in mm")
+    return GradientIndex(medium.name, medium)
 
 
 def _trimmed(numbers: list[float]) -> tuple[float, ...]:

@@ -20,9 +20,12 @@ from wavequake.optics.media.glasses import (
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.media.model_glass import model_glass
 from wavequake.optics.shapes.shapes import SurfaceAction
-from wavequake.optics.zemax.gradients import GRADIENTS, gradient
+from wavequake.optics.zemax.gradients import GRADIENTS, ROD, gradient, rod
 from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail
 
+CRYSTALS = ("BIRE__IN", "BIRE_OUT")
+"""Types of surfaces between which light is in a birefringent crystal."""
+_ORDINARY = (0, 2)  # modes; with 2 and 3 polarization turns in a waveplate
 MODEL_GLASS = "___BLANK"
 _NUMBER = re.compile(r"\d{6}")
 
@@ -137,6 +140,10 @@ def medium_after(
         Where its glass is looked up.
     """
     line = row.one("GLAS")
+    if row.type == CRYSTALS[0]:
+        _require_ordinary(row)
+    if row.type == ROD:
+        return "refract", _rod(line, row, scale, shelf)
     if row.type in GRADIENTS:
         if line is not None:
             fail(
@@ -151,6 +158,30 @@ def medium_after(
         return "reflect", before
     after = AIR if line is None or line.words[:1] in ([], ["AIR"]) else _glass(line, row, shelf)
     return ("pass" if after == before else "refract"), after
+
+
+def _require_ordinary(row: Row) -> None:
+    """Refuse a crystal of which the file traces the extraordinary ray, by its mode PARM 1."""
+    mode = row.table("PARM").get(1, 0.0)
+    if mode not in _ORDINARY:
+        fail(
+            row.line,
+            f"{row.label} begins a crystal of which the extraordinary ray is traced (PARM 1 is {mode:g}); "
+            f"only the ordinary one is supported, by the modes {' and '.join(map(str, _ORDINARY))}",
+        )
+
+
+def _rod(line: Line | None, row: Row, scale: float, shelf: GlassShelf) -> GradientIndex:
+    name = line.words[0] if line and line.words else ""
+    medium = shelf.own.get(name.upper())
+    if medium is None:
+        fail(
+            line or row.line,
+            f"{row.label} begins a rod of {name or 'no material'}, whose numbers are its maker's; give a "
+            "file that has them, six lines for each material (name, B, C, K0, K1, K2), with --glass "
+            "GRADIENT_9.DAT, or as system.glass_file of a study",
+        )
+    return rod(row, medium, scale)
 
 
 def _glass(line: Line, row: Row, shelf: GlassShelf) -> Medium:

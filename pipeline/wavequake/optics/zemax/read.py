@@ -21,14 +21,14 @@ from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.shapes.shapes import Conic
 from wavequake.optics.systems.kinematics import Break, SurfaceRow, sequential
-from wavequake.optics.systems.system import OpticalSystem, Pupil, require_system
+from wavequake.optics.systems.system import Apodization, OpticalSystem, Pupil, require_system
 from wavequake.optics.text_file import read_text
 from wavequake.optics.zemax.apertures import beside_stop, with_pupil
 from wavequake.optics.zemax.configurations import count_of, with_configuration, with_solved_image
 from wavequake.optics.zemax.fields import is_afocal, is_telecentric, wavelengths, with_fields
-from wavequake.optics.zemax.header import environment_of, left_aside, require_supported
+from wavequake.optics.zemax.header import apodization_of, environment_of, left_aside, require_supported
 from wavequake.optics.zemax.lens_file import LensFile, Problems, parsed, scale_of
-from wavequake.optics.zemax.media import GlassShelf, medium_after, picked_up
+from wavequake.optics.zemax.media import CRYSTALS, GlassShelf, medium_after, picked_up
 from wavequake.optics.zemax.phases import phase
 from wavequake.optics.zemax.rows import OPENINGS, Row, as_number, fail
 from wavequake.optics.zemax.surfaces import (
@@ -86,6 +86,9 @@ def system_of(
     with problems.collected():
         require_supported(file.header)
         shelf = replace(shelf, environment=environment_of(file.header))
+    apodization: Apodization | None = None
+    with problems.collected():
+        apodization = apodization_of(file.header)
     scale = 1.0
     with problems.collected():
         scale = scale_of(file)
@@ -124,6 +127,7 @@ def system_of(
             notes += beside_stop(system, file)
             system = with_fields(system, file, scale)
     problems.require_none(file)
+    system = replace(system, pupil=replace(system.pupil, apodization=apodization))
     system = replace(system, note=" ".join([*_notes(file, configuration), *notes, *shelf.notes]))
     with problems.collected():
         try:
@@ -177,6 +181,8 @@ def _notes(file: LensFile, configuration: int | None) -> list[str]:
     if rings:
         names = ", ".join(dict.fromkeys(rings))
         found.append(f"Ring-shaped obscurations stop here all light beyond their inner radius: {names}.")
+    if crystals := ", ".join(dict.fromkeys(row.label for row in file.rows if row.type == CRYSTALS[0])):
+        found.append(f"Of crystals the ordinary ray is traced, as the file does: {crystals}.")
     if ellipses := ", ".join(
         dict.fromkeys(row.label for row in file.rows if row.one("ELAP") or row.one("ELOB"))
     ):
@@ -202,9 +208,14 @@ def _prescription(
             stops.append((count, row))
         if row.type == "COORDBRK":
             with problems.collected():
-                _require_plain_break(row, last)
+                if last:
+                    fail(row.line, "the last surface is the image: it cannot be a coordinate break")
                 _require_upright(row)
-                rows.append(coordinate_break(row, scale, thickness))
+                at_stop = "STOP" in row.lines
+                rows.append(coordinate_break(row, scale, 0.0 if at_stop else thickness))
+                if at_stop:  # the plane to which it leads
+                    rows.append(SurfaceRow(row.label, Conic(), thickness))
+                    count += 1
             continue
         before, after = None, None
         with problems.collected():
@@ -260,13 +271,6 @@ def _finite_thickness(row: Row, scale: float) -> float:
     if math.isinf(thickness):
         fail(row.lines["DISZ"][0], f"{row.label} has an infinite thickness, only the object may")
     return thickness
-
-
-def _require_plain_break(row: Row, last: bool) -> None:
-    if "STOP" in row.lines:
-        fail(row.line, f"{row.label} is a coordinate break, which cannot be the stop")
-    if last:
-        fail(row.line, "the last surface is the image: it cannot be a coordinate break")
 
 
 def _require_upright(row: Row) -> None:

@@ -8,7 +8,7 @@ from wavequake.errors import UserError
 
 MAX_COUNT = 1000
 
-OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP", "SQOB", "ELAP", "ELOB", "SPID")
+OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP", "SQOB", "ELAP", "ELOB", "SPID", "USAP", "USOB")
 OF_SURFACES = ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM", "STOP", "PARM", "XDAT", "OBDC", "COMM")
 _HEIGHTS = ("GDAT", "GARR")  # of a surface of the type GRID_SAG
 # Drawing, coatings, mechanical diameters (OEMA is the edge between DIAM and MEMA), thermal data, physical
@@ -17,9 +17,9 @@ _HARMLESS = (
     *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "OEMA", "FIMP", "EDGE", "TCED"),
     *("MAZH", "PZUP", "PPAR", "PKUP", "VDSZ", "VPAR", "VCON"),
 )
-_KNOWN = frozenset((*OF_SURFACES, *_HARMLESS, *OPENINGS, "SCBD"))
+_KNOWN = frozenset((*OF_SURFACES, *_HARMLESS, *OPENINGS, "UDAD", "SCBD"))
 _MOVES_LIGHT = dict.fromkeys(  # unless all numbers after the first are zero
-    ("UDAP", "UDOB", "UDAD", "USAP", "USOB"), "an aperture of another form"
+    ("UDAP", "UDOB"), "an aperture of another form"
 )
 
 

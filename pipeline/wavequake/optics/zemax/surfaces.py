@@ -22,8 +22,9 @@ from wavequake.optics.shapes.shapes import (
     ZernikeSag,
 )
 from wavequake.optics.systems.kinematics import Break
-from wavequake.optics.zemax.gradients import GRADIENTS
+from wavequake.optics.zemax.gradients import GRADIENTS, ROD
 from wavequake.optics.zemax.grids import grid_sag
+from wavequake.optics.zemax.media import CRYSTALS
 from wavequake.optics.zemax.phases import MAX_EVEN_TERMS, PHASES, phase_base
 from wavequake.optics.zemax.rows import (
     OPENINGS,
@@ -37,6 +38,7 @@ from wavequake.optics.zemax.rows import (
     powers_scaled,
     require_no_numbers,
 )
+from wavequake.optics.zemax.user_apertures import USER_DEFINED, user_polygon
 
 MAX_TERMS = {  # up to degree 20; of aspheres, up to the power 480 and 240
     **{"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37, "GRID_SAG": 231},
@@ -76,13 +78,15 @@ def shape(row: Row, scale: float) -> Shape:
         return registered.from_zemax(row, scale, radius, kappa)
     if row.type in PHASES:
         return phase_base(row, scale, radius, kappa)
-    if row.type in GRADIENTS:  # their parameters are those of the medium
+    if row.type in (*GRADIENTS, ROD):  # their parameters are those of the medium
+        return Conic(radius, kappa)
+    if row.type in CRYSTALS:  # parameters are the mode and the axis of the crystal
         return Conic(radius, kappa)
     if row.type != "STANDARD":
         fail(
             row.one("TYPE") or row.line,
             f"{row.label} is of the type {row.type}, which is not supported; STANDARD, COORDBRK, "
-            f"{', '.join((*builders, *GRADIENTS, *PHASES, *zemax_types()))} are",
+            f"{', '.join((*builders, *GRADIENTS, ROD, *CRYSTALS, *PHASES, *zemax_types()))} are",
         )
     require_no_numbers(row, "PARM", row.table("PARM"))
     return Conic(radius, kappa)
@@ -205,6 +209,10 @@ def opening(row: Row, scale: float) -> Opening | None:
         if not width > 0:
             fail(line, f"{row.label} has a spider whose arms are {width:g} mm wide, not a positive number")
         return Opening(arms=spider(width, count), center=center)
+    if line.keyword in USER_DEFINED:
+        corners = user_polygon(row, line, scale)
+        passes = line.keyword == "USAP"
+        return Opening(corners=corners, center=center) if passes else Opening(dark=corners, center=center)
     low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
     if line.keyword in ("SQAP", "SQOB", "ELAP", "ELOB"):
         if not (low > 0.0 and high > 0.0):
