@@ -20,6 +20,7 @@ from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.report.campaign import report_store, summary_table
 from wavequake.report.exposures import psf_figures
 from wavequake.report.mirrors import exposures as mirror_exposures
+from wavequake.report.page import render_page
 from wavequake.viewer import animate as animation
 from wavequake.viewer.animate import animate
 from wavequake.workflows.exposures import mirror_exposure
@@ -206,11 +207,9 @@ def test_the_table_of_a_mirror(store, dataset):
 
 
 @pytest.mark.usefixtures("lettered")
-def test_the_report_of_a_mirror(store, dataset, tmp_path):
-    target = tmp_path / "report.html"
-    text = mirror_exposures.write_report_of(
-        store, dataset.isel(excitation=[ONE]), target, "numpy"
-    ).read_text()
+def test_the_report_of_a_mirror(store, dataset):
+    shown = dataset.isel(excitation=[ONE])
+    text = render_page(shown, mirror_exposures.page_of(store, shown, "numpy"))
     assert text.count("<svg") == 8
     off = f"LOS only, {float(dataset['image_error'][0, ONE, 0]):.1e} off"
     for words in ("Störkle 2018, Eq. 3.79", "krylov108(200,450,700)", "circular, one300", off):

@@ -23,7 +23,7 @@ from wavequake.report.exports.store import export, target_of
 from wavequake.report.written import as_comment, report_path, seal
 from wavequake.workflows.kinds import find_kind
 
-# Modules with table_of(store, dataset) and write_report_of(store, dataset, target, device), imported when a
+# Modules with table_of(store, dataset) and page_of(store, dataset, device), imported when a
 # store asks for them. Other kinds have the plain report, which is made of their measures.
 _REPORTS = {
     "segment-disturbance": "segments.report",
@@ -97,13 +97,15 @@ def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
     dataset, manifest = open_for_report(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
     report = _report_of(manifest.workflow)
+    from wavequake.report.page import KNOWN_ERRORS, render_page, write_page  # what draws is slow to load
+
     if (location(store) / ERRORS).exists():
         from wavequake.report.answers.errors_shown import page_with_errors
-        from wavequake.report.page import KNOWN_ERRORS  # what draws is slow to load
 
         dataset.encoding[KNOWN_ERRORS] = lambda page: page_with_errors(store, page)
     with _damage_named(store):
-        path = report.write_report_of(store, dataset, target or report_path(store), device_at_hand(manifest))
+        page = report.page_of(store, dataset, device_at_hand(manifest))
+        path = write_page(render_page(dataset, page), target or report_path(store))
         table = report.table_of(store, dataset)
     with suppress(OSError):  # without it, the report is written again
         if isinstance(path, ObjectPath):

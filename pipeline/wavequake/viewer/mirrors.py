@@ -24,7 +24,6 @@ from wavequake.workflows.mirrors.bench import (
     bench_of,
     cases_of,
     over_time,
-    time_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.optics import optical_rows
@@ -156,7 +155,7 @@ def _excited(
 ) -> list[Take]:
     """Return the response of both to every excitation, how far apart they are, and what the light does."""
     found = [over_time(study, one, one.surface, optical_rows(bench.optics, one)) for one in both]  # type: ignore[arg-type]
-    time, exposed = time_of(study), isinstance(study, MirrorExposureStudy)
+    time, exposed = study.time.seconds, isinstance(study, MirrorExposureStudy)
     step = -(-len(time) // (_MOST_IMAGES if exposed else _MOST_INSTANTS))
     takes = []
     for number, excitation in enumerate(study.excitation):

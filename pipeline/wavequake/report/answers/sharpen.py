@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
@@ -18,7 +17,7 @@ from wavequake.errors import UserError
 from wavequake.prepared import one_thread
 from wavequake.report.answers.tail import per_case
 from wavequake.report.at_hand import device_at_hand
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.control import MEASURES, modal_numbers
 
@@ -103,11 +102,8 @@ def sharpen(store: Path | str, cases: int = 20_000, progress: Progress | None = 
 
 def sharpen_table(rows: list[SharpRow]) -> Table:
     """Return the numbers as a table for the terminal."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("disturbance", overflow="fold")
-    table.add_column("number", no_wrap=True)
-    for header in ("traces alone", "with the modal model", "worth\n(traces)"):
-        table.add_column(header, justify="right", no_wrap=True)
+    words, numbers = ("disturbance", "number"), ("traces alone", "with the modal model", "worth\n(traces)")
+    table = empty_table((*words, *numbers), words, fixed=True, pad_edge=False)
     head = ""
     for row in sorted(rows, key=lambda one: [other.disturbance for other in rows].index(one.disturbance)):
         for label, one in row.found.items():

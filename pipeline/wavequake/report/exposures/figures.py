@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel, stacked
 
 Array = NDArray[np.float64]
 
@@ -69,8 +69,8 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
 @rc_context(STYLE)
 def line_of_sight(time_ms: Array, tracks: Mapping[str, Array], unit: str) -> Figure:
     """Draw x and y of lines of sight (instants, 2) over time (Fig. 4.43)."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    for place, axes in enumerate(figure.subplots(2, sharex=True)):
+    figure, panels = stacked()
+    for place, axes in enumerate(panels):
         for number, (name, track) in enumerate(tracks.items()):
             axes.plot(time_ms, track[:, place], label=name, **curve_style(number))
         axes.set_ylabel(f"line of sight {'xy'[place]} ({unit})")

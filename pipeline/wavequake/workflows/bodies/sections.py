@@ -10,8 +10,8 @@ from wavequake.mechanics.importers.checks import Triangle
 from wavequake.mechanics.importers.model import PAD_DOFS, PADS, TRIANGLE, ZERO_ROWS, Nodes
 from wavequake.mechanics.importers.pads import PadDofs, PadKind
 from wavequake.mechanics.nodal.modes import FORMATS as MODE_FILES
-from wavequake.workflows.mirrors.compared_models import ComparedSection, canonical
-from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.mirrors.compared_models import ComparedSection
+from wavequake.workflows.mirrors.study import FULL, canonical
 
 Place = Annotated[float, Field(ge=-1e7, le=1e7)]  # mm: within 10 km
 Point = Annotated[tuple[Place, Place, Place], Field(strict=False)]

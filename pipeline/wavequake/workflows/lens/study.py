@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import CampaignSection, Section, Study
+from wavequake.campaign.schema import CampaignSection, Section, Study, require_own_names
 from wavequake.chain.loops.block import CONTROLLERS, SENSORS, AnyBlock, Controller, Sensor
 from wavequake.chain.loops.closing import check_part, check_rates, check_sensors
 from wavequake.chain.loops.controllers.off import Off
@@ -150,12 +150,8 @@ class LensStudy(Study):
     @model_validator(mode="after")
     def _loops_fit(self) -> Self:
         own = *OWN, *(f"firmware-{one}" for one in get_args(Arithmetic))
-        for kind, names in (
-            ("sensor", [one.name for one in self.sensor]),
-            ("controller", [*own, *(one.name for one in self.loop)]),
-        ):
-            if twice := next((name for name in names if names.count(name) > 1), None):
-                raise ValueError(f"two {kind}s are called {twice!r}; each needs a name of its own")
+        require_own_names("sensor", self.sensor)
+        require_own_names("controller", self.loop, own)
         for one in self.loop:
             if one.beside:
                 raise ValueError(f"nothing runs beside the controller {one.name!r}: there is one stage")

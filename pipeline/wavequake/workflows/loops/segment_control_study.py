@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import CampaignSection, Section, Study
+from wavequake.campaign.schema import CampaignSection, Section, Study, require_own_names
 from wavequake.chain.loops.structure import ModeSection
 
 
@@ -146,7 +146,5 @@ class SegmentControlStudy(Study):
     @field_validator("mode")
     @classmethod
     def _names_differ(cls, value: tuple[SeenMode, ...]) -> tuple[SeenMode, ...]:
-        names = [one.name for one in value]
-        if twice := next((name for name in names if names.count(name) > 1), None):
-            raise ValueError(f"two modes are called {twice!r}; each needs a name of its own")
+        require_own_names("mode", value)
         return value

@@ -8,8 +8,7 @@ from wavequake.campaign.schema import Section
 from wavequake.mechanics.mirrors.material import GLASS_CERAMIC
 from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
 from wavequake.mechanics.model import RayleighDamping
-from wavequake.workflows.mirrors.compared_models import canonical
-from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.mirrors.study import FULL, canonical
 
 
 class SegmentModelSection(Section):

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     Field,
@@ -13,7 +15,14 @@ from pydantic import (
     model_validator,
 )
 
-from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, text_of
+from wavequake.campaign.schema import (
+    CampaignSection,
+    Section,
+    StoreSection,
+    Study,
+    require_own_names,
+    text_of,
+)
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.checks import Triangle
 from wavequake.mechanics.importers.model import PAD_DOFS, PADS, TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
@@ -113,7 +122,7 @@ class VariantsSection(Section):
     def _variants_are_canonical(cls, value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
         own = info.data.get("own_files", {})
         names = tuple(
-            name if name in own else _canonical(name)
+            name if name in own else canonical(name, or_full=False)
             for one in value
             for name in ([one] if one in own else _orders_of(one))
         )
@@ -152,6 +161,11 @@ class ReductionSection(VariantsSection):
     )
 
     @property
+    def hertz(self) -> NDArray[np.float64]:
+        """The frequencies (n,) at which they are compared, Hz."""
+        return np.asarray(np.linspace(self.first_hz, self.last_hz, self.frequencies))
+
+    @property
     def compared(self) -> tuple[str, ...]:
         """All variants, the reference first."""
         return (self.reference, *(name for name in self.variants if name != self.reference))
@@ -159,7 +173,7 @@ class ReductionSection(VariantsSection):
     @field_validator("reference")
     @classmethod
     def _reference_is_canonical(cls, value: str) -> str:
-        return value if value == FULL else _canonical(value)
+        return canonical(value)
 
     @model_validator(mode="after")
     def _frequencies_rise(self) -> "ReductionSection":
@@ -176,9 +190,10 @@ def _orders_of(name: str) -> list[str]:
         raise ValueError(str(error).rstrip(".")) from None
 
 
-def _canonical(name: str) -> str:
+def canonical(name: str, or_full: bool = True) -> str:
+    """Return the canonical name of a reduced model, or "full"; ValueError if it is none."""
     try:
-        return str(parse(name))
+        return name if or_full and name == FULL else str(parse(name))
     except UserError as error:
         raise ValueError(str(error).rstrip(".")) from None
 
@@ -193,6 +208,11 @@ class TimeSection(Section):
     def instants(self) -> int:
         """Number of instants, the first at 0."""
         return round(self.duration_s / self.step_s) + 1
+
+    @property
+    def seconds(self) -> NDArray[np.float64]:
+        """The instants (n,), s."""
+        return np.arange(self.instants, dtype=np.float64) * self.step_s
 
     @model_validator(mode="after")
     def _has_instants(self) -> "TimeSection":
@@ -266,10 +286,7 @@ class MirrorStoreSection(StoreSection):
 
 
 def _names_are_unique(value: tuple[Any, ...]) -> tuple[Any, ...]:
-    names = [entry.name for entry in value]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"two excitations are called {name!r}; each needs a name of its own")
+    require_own_names("excitation", value)
     return value
 
 

@@ -36,7 +36,6 @@ from wavequake.workflows.mirrors.bench import (
     drive_at,
     import_notices,
     import_record,
-    time_of,
     trace_study_of,
     variant_of,
 )
@@ -96,7 +95,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
 
 def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
     """Return all stored numbers of one variant."""
-    reduced, optics, instants = variant_of(bench, variant), bench.optics, time_of(study)
+    reduced, optics, instants = variant_of(bench, variant), bench.optics, study.time.seconds
     left, residual, set_up = left_by(optics, reduced), None, Stopwatch()
     with set_up("fits of coordinates"):
         motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))
@@ -287,7 +286,7 @@ def _measures() -> Iterator[Measure]:
 
 def _axes(study: TraceStudy) -> dict[str, Axis]:
     return {
-        "time": Axis(time_of(study), "time", "s"),
+        "time": Axis(study.time.seconds, "time", "s"),
         "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
         "axis": Axis(["x", "y"], "axis of the image plane"),
         "stage": Axis(STAGES, "stage of the computation"),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from wavequake.campaign.contract import DONE, ChunkResult
 from wavequake.campaign.one_by_one import unknown_arrays
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.sampling import slots
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.opencl import Device
 from wavequake.kernels.device.tiles import TILE, padded
@@ -31,7 +32,6 @@ from wavequake.optics.segments.modal import Forms, ModalModel
 from wavequake.optics.wavefronts.quality import meets_marechal
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.draws import draw_realization, draw_realizations, sampling_plan
-from wavequake.workflows.segments.launches import slots
 from wavequake.workflows.segments.model import knows, model_of, motion_rows
 from wavequake.workflows.segments.template import computed
 

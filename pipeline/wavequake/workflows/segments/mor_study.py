@@ -16,7 +16,7 @@ from wavequake.workflows.mirrors.study import (
     ReductionSection,
     TimeSection,
 )
-from wavequake.workflows.segments.study import ImagingSection, SegmentStudy, WavefrontSection
+from wavequake.workflows.segments.study import ImagingSection, SegmentStudy, SegmentWavefrontSection
 from wavequake.workflows.segments.telescope_section import OpticsSection, TelescopeSection
 
 
@@ -157,6 +157,6 @@ def telescope_study(study: SegmentMorStudy) -> SegmentStudy:
         telescope=study.telescope,
         disturbance=(StaticRandom(name="figure", figure_nm={study.segments.figure_terms: 0.0}, instants=1),),
         optics=optics,
-        wavefront=WavefrontSection(zernike_terms=study.optics.zernike_terms),
+        wavefront=SegmentWavefrontSection(zernike_terms=study.optics.zernike_terms),
         imaging=ImagingSection(pixels=study.imaging.pixels, sampling=study.imaging.sampling),
     )
