@@ -43,7 +43,9 @@ from wavequake.workflows.segments.telescope_section import PLACES, OpticsSection
 class WavefrontSection(Section):
     """What is fitted to the wavefront, and to what of it."""
 
-    zernike_terms: int = Field(default=45, ge=4, le=MOST_TERMS)
+    zernike_terms: int = Field(
+        default=45, ge=4, le=MOST_TERMS, description="Noll coefficients fitted to the wavefront, from piston"
+    )
     method: Literal["opd", "slopes"] = Field(
         default="opd",
         description="coefficients and line of sight from path lengths, or from ray slopes alone "
@@ -76,7 +78,7 @@ class ImagingSection(SharedImagingSection):
     """The exposure of each case: mean of its instants' point spread functions."""
 
     enabled: bool = Field(default=True, description="false: no exposures, which are most of the work")
-    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
+    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2, description="along one side of the image")
     sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
     moments: Literal["auto", 1, 6, 15] = Field(
         default="auto", description="1: piston, 6/15: tip and tilt to 2nd/4th order"
@@ -132,7 +134,9 @@ class RareSection(Section):
 class SegmentStoreSection(StoreSection):
     """Where the results go, and what of them is kept."""
 
-    keep: tuple[Literal["segment_motion"], ...] = Field(default=(), strict=False)
+    keep: tuple[Literal["segment_motion"], ...] = Field(
+        default=(), strict=False, description="what to store beside the measures: motion of every segment"
+    )
 
     def identity_record(self) -> dict[str, object]:
         """Return all keys that say what is kept: stores of segmented telescopes always had them."""
