@@ -28,7 +28,8 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
             if info.default is PydanticUndefined and not info.default_factory
             else shown(info.get_default(call_default_factory=True))
         )
-        lines.append(f"| `{name}` | {default} | {info.description or ''} |")
+        meaning = (info.description or "").replace("|", "\\|")
+        lines.append(f"| `{name}` | {default} | {meaning} |")
     return "\n".join(lines) + "\n" if len(lines) > 2 else ""
 
 

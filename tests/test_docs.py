@@ -225,6 +225,13 @@ def test_the_reference_of_keys_is_what_the_code_says():
     assert made == module.reference().strip(), "run python docs/make_study_reference.py"
 
 
+def test_every_key_has_a_meaning_in_words():
+    lines = (ROOT / "docs" / "study.md").read_text(encoding="utf-8").splitlines()
+    rows = [re.split(r"(?<!\\)\|", line) for line in lines if line.startswith("| `")]
+    assert len(rows) > 600
+    assert [row[1] for row in rows if len(row) != 5 or len(row[3].split()) < 2] == []
+
+
 def test_the_page_on_the_reference_text_names_every_figure_and_table():
     """Of Chapters 4 and 5: in a row of its own, or in a range of them."""
     text = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")

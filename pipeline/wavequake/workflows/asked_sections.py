@@ -69,7 +69,7 @@ class AllowSection(Section):
 class BudgetGroupSection(Section):
     """A branch of the budget's tree."""
 
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, description="of the branch, by which other groups may list it")
     of: tuple[str, ...] = Field(
         min_length=1,
         strict=False,

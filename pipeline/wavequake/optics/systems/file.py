@@ -78,11 +78,25 @@ class SystemSection(FileSection):
     glass_file: str | None = Field(
         default=None, exclude=True, description="a catalogue of glasses, .agf (read when the study is loaded)"
     )
-    entrance_diameter_mm: float | None = Field(default=None, gt=0)
+    entrance_diameter_mm: float | None = Field(
+        default=None, gt=0, description="of the entrance pupil; one of the keys that say how wide the beam is"
+    )
     f_number: float | None = Field(default=None, gt=0, description="paraxial, in the image space")
-    object_na: float | None = Field(default=None, gt=0)
-    image_na: float | None = Field(default=None, gt=0)
-    stop_radius_mm: float | None = Field(default=None, gt=0)
+    object_na: float | None = Field(
+        default=None,
+        gt=0,
+        description="numerical aperture in the object space, in place of entrance_diameter_mm",
+    )
+    image_na: float | None = Field(
+        default=None,
+        gt=0,
+        description="numerical aperture in the image space, in place of entrance_diameter_mm",
+    )
+    stop_radius_mm: float | None = Field(
+        default=None,
+        gt=0,
+        description="of the aperture stop that is full of light, in place of entrance_diameter_mm",
+    )
     pupil_obscuration: float | None = Field(default=None, ge=0, lt=1, description="inner over outer radius")
     pupil_apodization: Literal["uniform", "gaussian", "cosine_cubed"] | None = Field(
         default=None, description="of the light's amplitude over the pupil"
@@ -91,10 +105,25 @@ class SystemSection(FileSection):
         default=None, ge=0, le=STRONGEST, description="G of the Gaussian exp(-G rho^2)"
     )
     object_distance_mm: float | None = Field(default=None, description="None is infinity")
-    fields_deg: Pairs = Field(default=None, strict=False, min_length=1)
-    fields_arcmin: Pairs = Field(default=None, strict=False, min_length=1)
+    fields_deg: Pairs = Field(
+        default=None,
+        strict=False,
+        min_length=1,
+        description="field points x, y: angles to the axis in the object space",
+    )
+    fields_arcmin: Pairs = Field(
+        default=None,
+        strict=False,
+        min_length=1,
+        description="field points x, y in the object space, in place of fields_deg",
+    )
     fields_mm: Pairs = Field(default=None, strict=False, min_length=1, description="heights of the object")
-    wavelengths_nm: tuple[float, ...] | None = Field(default=None, strict=False, min_length=1)
+    wavelengths_nm: tuple[float, ...] | None = Field(
+        default=None,
+        strict=False,
+        min_length=1,
+        description="of the light; default: those of the bundled system or file",
+    )
     primary_wavelength: int | None = Field(default=None, ge=1, description="its place in the list, from 1")
     telecentric: bool | None = Field(default=None, description="in the object space")
 

@@ -19,7 +19,7 @@ from wavequake.report.answers.tail import per_case
 from wavequake.report.at_hand import device_at_hand
 from wavequake.report.table import MISSING, empty_table, number
 from wavequake.workflows.kinds import find_kind
-from wavequake.workflows.segments.control import MEASURES, modal_numbers
+from wavequake.workflows.segments.control import MEASURES, modal_numbers, modal_partner
 
 Progress = Callable[[int, int, int], None]
 
@@ -66,6 +66,21 @@ def sharpen(store: Path | str, cases: int = 20_000, progress: Progress | None = 
         raise UserError(
             f"{store} has {manifest.cases} cases; the modal model sharpens them by more: give --cases beyond."
         )
+    partner = modal_partner(study)
+    sources = kind.case_table(manifest.study, 0, cases)["disturbance"]
+    done = np.zeros(cases, dtype=np.bool_)
+    done[: manifest.cases] = dataset["status"].to_numpy() == DONE
+    traced = []
+    for name in MEASURES:
+        costly = np.full(cases, np.nan)
+        (costly[: manifest.cases],) = per_case(dataset, judged_in(name, dataset), "rms").values()
+        for source in dict.fromkeys(sources.tolist()):
+            paired = (sources == source) & done & np.isfinite(costly)
+            if paired.sum() < FEWEST:  # before the many cases are computed
+                raise UserError(
+                    f"{source!r} has {paired.sum()} traced cases in {store}; take at least {FEWEST}."
+                )
+            traced.append((name, source, costly, paired))
     device = device_at_hand(manifest)
     parts = []
     for first in range(0, cases, _AT_ONCE):
@@ -73,28 +88,16 @@ def sharpen(store: Path | str, cases: int = 20_000, progress: Progress | None = 
             progress(first, cases, 0)
         ids = np.arange(first, min(first + _AT_ONCE, cases))
         with one_thread():
-            parts.append(modal_numbers(study, ids, device))
+            parts.append(modal_numbers(partner, ids, device))
     cheap = {name: np.concatenate([part[name] for part in parts]) for name in MEASURES}
-    sources = kind.case_table(manifest.study, 0, cases)["disturbance"]
-    done = np.zeros(cases, dtype=np.bool_)
-    done[: manifest.cases] = dataset["status"].to_numpy() == DONE
     rows = []
-    for name in MEASURES:
-        judged = judged_in(name, dataset)
-        costly = np.full(cases, np.nan)
-        (costly[: manifest.cases],) = per_case(dataset, judged, "rms").values()
+    for name, source, costly, paired in traced:
+        more = (sources == source) & (np.arange(cases) >= manifest.cases)
+        given = (costly[paired], cheap[name][paired], cheap[name][more])
+        found = {"mean": sharpened_mean(*given)}
+        found |= {label: sharpened_quantile(*given, p) for label, p in LEVELS.items()}
         unit = str(dataset[name].attrs.get("units", ""))
-        for source in dict.fromkeys(sources.tolist()):
-            paired = (sources == source) & done & np.isfinite(costly)
-            more = (sources == source) & (np.arange(cases) >= manifest.cases)
-            if paired.sum() < FEWEST:
-                raise UserError(
-                    f"{source!r} has {paired.sum()} traced cases in {store}; take at least {FEWEST}."
-                )
-            given = (costly[paired], cheap[name][paired], cheap[name][more])
-            found = {"mean": sharpened_mean(*given)}
-            found |= {label: sharpened_quantile(*given, p) for label, p in LEVELS.items()}
-            rows.append(SharpRow(source, name, unit, int(paired.sum()), int(more.sum()), found))
+        rows.append(SharpRow(source, name, unit, int(paired.sum()), int(more.sum()), found))
     if progress:
         progress(cases, cases, 0)
     return rows

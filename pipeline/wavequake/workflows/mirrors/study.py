@@ -42,17 +42,30 @@ class ModelSection(Section):
     shapes: tuple[Literal["circular", "annular"], ...] = Field(
         default=("circular",), strict=False, description="built-in mirrors; left out where a file is given"
     )
-    diameter_m: float = Field(default=1.0, gt=0)
+    diameter_m: float = Field(default=1.0, gt=0, description="outer one of the mirror")
     inner_diameter_m: float = Field(default=0.4, gt=0, description="of the annular mirror")
-    thickness_m: float = Field(default=0.02, gt=0, le=100)
+    thickness_m: float = Field(default=0.02, gt=0, le=100, description="of the mirror, the same everywhere")
     focal_length_m: float = Field(
         default=1.7, gt=0, description="of the parabola; it puts the defocus mode of the defaults at 295 Hz"
     )
-    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e16)
-    poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=2700.0, ge=1e-3, le=1e6)
+    youngs_modulus_pa: float = Field(
+        default=70e9, gt=0, le=1e16, description="stress over strain, elastic; default: aluminium"
+    )
+    poisson_ratio: float = Field(
+        default=0.33, gt=-1, lt=0.5, description="transverse contraction over extension; default: aluminium"
+    )
+    density_kg_m3: float = Field(
+        default=2700.0,
+        ge=1e-3,
+        le=1e6,
+        description="of the mirror; default: aluminium, as in the reference text",
+    )
     mount_radius_m: float = Field(default=0.333, gt=0, description="of the interface nodes on the rear face")
-    mount_angles_deg: tuple[float, ...] = Field(default=(0.0, 120.0, 240.0), strict=False)
+    mount_angles_deg: tuple[float, ...] = Field(
+        default=(0.0, 120.0, 240.0),
+        strict=False,
+        description="of the interface nodes, from x; default: 120 deg apart",
+    )
     damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
     damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
     rings: int | None = Field(
@@ -154,8 +167,8 @@ class ReductionSection(VariantsSection):
     """Which variants are compared, and over which frequencies."""
 
     reference: str = Field(default=FULL, description="what errors refer to: 'full', or a variant")
-    first_hz: float = Field(default=5.0, gt=0)
-    frequencies: int = Field(default=600, ge=2, le=20000)
+    first_hz: float = Field(default=5.0, gt=0, description="lower end of the band that is compared")
+    frequencies: int = Field(default=600, ge=2, le=20000, description="evenly spread over the band")
     spot_checks: int = Field(
         default=3, ge=0, le=50, description="frequencies at which the sweep's basis is checked in full"
     )
@@ -201,8 +214,8 @@ def canonical(name: str, or_full: bool = True) -> str:
 class TimeSection(Section):
     """Instants of the time response."""
 
-    duration_s: float = Field(default=0.02, gt=0)
-    step_s: float = Field(default=1e-4, gt=0)
+    duration_s: float = Field(default=0.02, gt=0, description="from rest to the last instant")
+    step_s: float = Field(default=1e-4, gt=0, description="between two instants")
 
     @property
     def instants(self) -> int:
@@ -224,8 +237,8 @@ class TimeSection(Section):
 class MirrorOpticsSection(Section):
     """Light on the mirror: a star on the axis, imaged at the focus."""
 
-    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
-    rays: int = Field(default=1000, ge=50, le=200_000)
+    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6, description="of the light; default: green")
+    rays: int = Field(default=1000, ge=50, le=200_000, description="evenly spread over the mirror")
     zernike_terms: int | None = Field(
         default=None,
         ge=6,
@@ -252,9 +265,11 @@ class TraceOpticsSection(MirrorOpticsSection):
 class MirrorImagingSection(Section):
     """The exposure over the time response."""
 
-    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
+    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2, description="along one side of the image")
     sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
-    pupil_samples: int = Field(default=96, ge=16, le=1024)
+    pupil_samples: int = Field(
+        default=96, ge=16, le=1024, description="points of the wavefront along the diameter"
+    )
     instants: int = Field(default=101, ge=1, le=100_000, description="at most, evenly spread")
     scale: float = Field(default=1.0, gt=0, description="of the wavefront: exaggerates small vibrations")
 
@@ -262,7 +277,9 @@ class MirrorImagingSection(Section):
 class CriterionSection(Section):
     """When a variant is good enough."""
 
-    measure: Literal["wfe", "los", "image"] = "wfe"
+    measure: Literal["wfe", "los", "image"] = Field(
+        default="wfe", description="error that decides: of wavefront, line of sight or image"
+    )
     largest: float = Field(
         default=0.01,
         gt=0,

@@ -41,14 +41,46 @@ from wavequake.workflows.segments.telescope_section import PLACES, OpticsSection
 class SegmentWavefrontSection(WavefrontSection):
     """What is fitted to the wavefront, and to what of it."""
 
+<<<<<<< HEAD
     zernike_terms: int = Field(default=45, ge=4, le=MOST_TERMS)
+=======
+    zernike_terms: int = Field(
+        default=45, ge=4, le=MOST_TERMS, description="Noll coefficients fitted to the wavefront, from piston"
+    )
+    method: Literal["opd", "slopes"] = Field(
+        default="opd",
+        description="coefficients and line of sight from path lengths, or from ray slopes alone "
+        "(Störkle 2018, Eq. 4.20): these see tilts and figures, but no piston of a segment or of the pupil",
+    )
+    basis: Literal["annular", "circular"] = Field(
+        default="annular",
+        description="of the stored coefficients; circular ones are equivalent (Eq. 3.53), but the sum of "
+        "their squares is not the rms over the annulus, which stays that of the annular ones",
+    )
+    reference: Literal["chief", "fitted"] = Field(
+        default="chief",
+        description="center of the reference sphere in the image: where the virtual chief ray arrives, or "
+        "that of the sphere that fits the wavefront best (section 3.3.3; needs method opd)",
+    )
+
+    @model_validator(mode="after")
+    def _slopes_have_no_sphere(self) -> "WavefrontSection":
+        require_path_lengths(self.method, self.reference)
+        return self
+
+
+def require_path_lengths(method: str, reference: str) -> None:
+    """Raise ValueError if a sphere is to be fitted to wavefronts whose path lengths are not to be used."""
+    if method == "slopes" and reference == "fitted":
+        raise ValueError("reference = 'fitted' needs path lengths; choose method = 'opd' for it")
+>>>>>>> newcomer
 
 
 class ImagingSection(SharedImagingSection):
     """The exposure of each case: mean of its instants' point spread functions."""
 
     enabled: bool = Field(default=True, description="false: no exposures, which are most of the work")
-    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
+    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2, description="along one side of the image")
     sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
     moments: Literal["auto", 1, 6, 15] = Field(
         default="auto", description="1: piston, 6/15: tip and tilt to 2nd/4th order"
@@ -104,7 +136,9 @@ class RareSection(Section):
 class SegmentStoreSection(StoreSection):
     """Where the results go, and what of them is kept."""
 
-    keep: tuple[Literal["segment_motion"], ...] = Field(default=(), strict=False)
+    keep: tuple[Literal["segment_motion"], ...] = Field(
+        default=(), strict=False, description="what to store beside the measures: motion of every segment"
+    )
 
     def identity_record(self) -> dict[str, object]:
         """Return all keys that say what is kept: stores of segmented telescopes always had them."""

@@ -31,7 +31,9 @@ WITHOUT_IMAGES = {"imaging": None, "object": None, "detector": None}
 class SystemOpticsSection(Section):
     """Rays per field point and wavelength, spread evenly over the pupil."""
 
-    rays: int = Field(default=500, ge=10, le=1_000_000)
+    rays: int = Field(
+        default=500, ge=10, le=1_000_000, description="traced per field point, wavelength and instant"
+    )
     light: Light = Field(
         default="traced",
         description="trace every instant, or take wavefronts and images from derivatives that are traced "
