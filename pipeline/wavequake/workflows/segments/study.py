@@ -41,39 +41,9 @@ from wavequake.workflows.segments.telescope_section import PLACES, OpticsSection
 class SegmentWavefrontSection(WavefrontSection):
     """What is fitted to the wavefront, and to what of it."""
 
-<<<<<<< HEAD
-    zernike_terms: int = Field(default=45, ge=4, le=MOST_TERMS)
-=======
     zernike_terms: int = Field(
         default=45, ge=4, le=MOST_TERMS, description="Noll coefficients fitted to the wavefront, from piston"
     )
-    method: Literal["opd", "slopes"] = Field(
-        default="opd",
-        description="coefficients and line of sight from path lengths, or from ray slopes alone "
-        "(Störkle 2018, Eq. 4.20): these see tilts and figures, but no piston of a segment or of the pupil",
-    )
-    basis: Literal["annular", "circular"] = Field(
-        default="annular",
-        description="of the stored coefficients; circular ones are equivalent (Eq. 3.53), but the sum of "
-        "their squares is not the rms over the annulus, which stays that of the annular ones",
-    )
-    reference: Literal["chief", "fitted"] = Field(
-        default="chief",
-        description="center of the reference sphere in the image: where the virtual chief ray arrives, or "
-        "that of the sphere that fits the wavefront best (section 3.3.3; needs method opd)",
-    )
-
-    @model_validator(mode="after")
-    def _slopes_have_no_sphere(self) -> "WavefrontSection":
-        require_path_lengths(self.method, self.reference)
-        return self
-
-
-def require_path_lengths(method: str, reference: str) -> None:
-    """Raise ValueError if a sphere is to be fitted to wavefronts whose path lengths are not to be used."""
-    if method == "slopes" and reference == "fitted":
-        raise ValueError("reference = 'fitted' needs path lengths; choose method = 'opd' for it")
->>>>>>> newcomer
 
 
 class ImagingSection(SharedImagingSection):
