@@ -243,12 +243,13 @@ def _changed(system: OpticalSystem, section: SystemSection) -> OpticalSystem:
     for key, kind in _PUPILS.items():
         value = getattr(section, key)
         if value is not None:
-            pupil = replace(pupil, kind=kind, value=value)
+            pupil = replace(pupil, kind=kind, value=value)  # type: ignore[arg-type]
     if section.pupil_obscuration is not None:
         pupil = replace(pupil, obscuration=section.pupil_obscuration)
-    if section.pupil_apodization is not None:
-        kind, factor = section.pupil_apodization, section.apodization_factor or 0.0
-        pupil = replace(pupil, apodization=None if kind == "uniform" else Apodization(kind, factor))
+    light = section.pupil_apodization
+    if light is not None:
+        falls = None if light == "uniform" else Apodization(light, section.apodization_factor or 0.0)
+        pupil = replace(pupil, apodization=falls)
     waves, primary = system.wavelengths, system.primary_wavelength
     if section.wavelengths_nm is not None:
         waves, primary = np.array(section.wavelengths_nm) * MM_PER_NM, 0
