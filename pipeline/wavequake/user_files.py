@@ -31,6 +31,7 @@ MOST_MB = 2000.0
 MOST_ARRAYS = 10_000
 _NUMBERS = "biufc"
 _DEEPEST = 40  # tables and lists of a study file within each other
+_AT_ONCE = 1 << 24  # bytes of an array
 _STUDY_MB = 64.0
 # A key of more parts than any study has: reading one of 100,000 takes minutes.
 _MOST_PARTS = 40
@@ -210,7 +211,11 @@ def _array(stream: Any, size: int) -> NDArray[Any]:
     left = size - stream.tell()
     if min(shape, default=1) < 0 or math.prod(shape) * dtype.itemsize != left:
         raise ValueError(f"it announces the shape {shape} of {dtype} and has {left} bytes")
-    data = bytearray(stream.read(left))
+    data, at = bytearray(left), 0
+    while chunk := stream.read(min(left - at, _AT_ONCE)):  # all at once would be there twice
+        data[at : at + len(chunk)] = chunk
+        at += len(chunk)
+    del data[at:]
     return np.ndarray(shape, dtype, data if left else None, order="F" if by_columns else "C")
 
 

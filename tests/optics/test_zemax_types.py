@@ -239,3 +239,8 @@ def test_of_a_crystal_the_ordinary_ray_is_that_of_a_glass(mode):
         assert (one.shape, one.medium, one.action) == (other.shape, other.medium, other.action)
     with pytest.raises(UserError, match="the extraordinary ray is traced"):
         parse_zmx(lens(STOP, "  " + crystal.format(mode=1), out), "lens.zmx")
+
+
+def test_a_file_of_more_surfaces_than_can_be_traced_is_refused_at_once():
+    with pytest.raises(UserError, match="has 128 surfaces; at most 126 can be traced"):
+        parse_zmx(lens(STOP, *["  DISZ 1"] * 126), "lens.zmx")

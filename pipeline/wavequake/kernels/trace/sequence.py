@@ -16,6 +16,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.trace.status import VIGNETTED
 
 Array = NDArray[np.float64]
+MOST_SURFACES = 126  # their numbers are bytes
 Action = Literal["reflect", "refract", "pass"]
 
 
@@ -248,8 +249,8 @@ def check_sequence(sequence: Sequence, rays: Rays, moving: Moving) -> None:
     elements, instants = sequence.elements, len(moving.poses)
     if not elements:
         raise ValueError("the sequence has no elements; the last one is the image plane")
-    if len(elements) > 126:
-        raise UserError(f"The system has {len(elements)} surfaces; at most 126 can be traced.")
+    if len(elements) > MOST_SURFACES:
+        raise UserError(f"The system has {len(elements)} surfaces; at most {MOST_SURFACES} can be traced.")
     _require("rays.path", rays.path, (rays.path.size,))
     _require("rays.position", rays.position, (3, rays.path.size))
     _require("rays.direction", rays.direction, (3, rays.path.size))

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
+from wavequake.kernels.trace.sequence import MOST_SURFACES
 from wavequake.optics.media.environment import Environment
 from wavequake.optics.media.glasses import AIR, Medium
 from wavequake.optics.media.gradients import GradientIndex
@@ -100,6 +101,9 @@ def system_of(
     with problems.collected():
         medium = _object_medium(file.rows[0], shelf)
     rows, stop = _prescription(file, scale, medium, shelf, problems)
+    count = sum(isinstance(row, SurfaceRow) for row in rows)
+    if count > MOST_SURFACES:  # before all that takes long with so many
+        problems.found.append(f"{where} has {count} surfaces; at most {MOST_SURFACES} can be traced.")
     problems.require_none(file)
     surfaces = sequential(rows)
     distance = _thickness(file.rows[0], scale)
