@@ -1,7 +1,7 @@
 """The first rays of a program are compared as far as rounding lets them be known, and errors are found."""
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def folded(name, surface, *bends):
     return replace(system, surfaces=tuple(surfaces))
 
 
-@lru_cache(maxsize=None)  # every device and every error takes the same
+@cache  # every device and every error takes the same
 def case(name, surface=None, bends=(), seed=0, count=60):
     """Arguments of a trace of random rays, also beyond the pupil."""
     system = folded(name, surface, *bends) if surface else optical_system(name)

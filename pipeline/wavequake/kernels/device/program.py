@@ -269,9 +269,7 @@ def _kernel(
 
 
 @lru_cache(maxsize=64)
-def _program(
-    device: Device, text: str, constants: tuple[tuple[str, int], ...], anew: bool = False
-) -> Any:
+def _program(device: Device, text: str, constants: tuple[tuple[str, int], ...], anew: bool = False) -> Any:
     """Build a program once for all of its kernels; `anew` believes no cache."""
     import pyopencl as cl
 
