@@ -98,6 +98,22 @@ def lettered(monkeypatch):
     monkeypatch.setattr(page, "svg_text", words)
 
 
+@pytest.fixture
+def drawn(monkeypatch):
+    """Draw figures in one test of a file that leaves them undrawn, but do not seek room for what they say.
+
+    That takes half of the time; tests of reports in a browser do.
+    """
+    from wavequake.drawing import style
+    from wavequake.report import page
+
+    def crowded(figure, salt):
+        figure.set_layout_engine("none")
+        return style.svg_text(figure, salt)
+
+    monkeypatch.setattr(page, "svg_text", crowded)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _campaigns_that_name_no_place_are_serial():
     """Tests of workers ask for them; processes of a campaign's own would take seconds to start."""
