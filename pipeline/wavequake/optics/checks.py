@@ -3,7 +3,6 @@
 import operator
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache
 from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -127,7 +126,7 @@ def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
     return None
 
 
-@cache
+@prepared(maxsize=512)
 def _meant(kind: Any) -> tuple[Any, Any, tuple[Any, ...]]:
     """Return what an alias stands for (NDArray of NumPy 2.5 is one), its origin and its arguments."""
     kind = getattr(kind, "__value__", kind)

@@ -5,6 +5,7 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
@@ -22,6 +23,9 @@ from wavequake.report.at_hand import device_at_hand
 from wavequake.report.exports.store import export, target_of
 from wavequake.report.written import as_comment, report_path, seal
 from wavequake.workflows.kinds import find_kind
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # Modules with table_of(store, dataset) and page_of(store, dataset, device), imported when a
 # store asks for them. Other kinds have the plain report, which is made of their measures.
@@ -48,6 +52,12 @@ def _report_of(workflow: str) -> ModuleType:
     return import_module(f"wavequake.report.{_REPORTS.get(workflow, 'plain')}")
 
 
+def _opened(store: Path) -> "xr.Dataset":
+    from wavequake.report.mirrors.names import name_models  # slow to load
+
+    return name_models(open_for_report(store))
+
+
 def load(workflow: str) -> None:
     """Import what the reports of a kind of study need, most of which is what draws."""
     with suppress(ImportError):  # said where the report is written
@@ -72,7 +82,7 @@ def _damage_named(store: Path) -> Iterator[None]:
 @few_at_once()
 def summary_table(store: Path) -> Table:
     """Return the table of a store for the terminal; raises as :func:`report_store`."""
-    dataset, manifest = open_for_report(store), read_manifest(store)
+    dataset, manifest = _opened(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
     with _damage_named(store):
         table: Table = _report_of(manifest.workflow).table_of(store, dataset)
@@ -94,7 +104,7 @@ def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
     if target is not None and target.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The report {target} must end in .html.")
     shows = seal(store)
-    dataset, manifest = open_for_report(store), read_manifest(store)
+    dataset, manifest = _opened(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
     report = _report_of(manifest.workflow)
     from wavequake.report.page import KNOWN_ERRORS, render_page, write_page  # what draws is slow to load

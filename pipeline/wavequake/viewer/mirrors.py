@@ -26,6 +26,7 @@ from wavequake.workflows.mirrors.bench import (
     over_time,
     variant_of,
 )
+from wavequake.workflows.mirrors.model_store import shown_name
 from wavequake.workflows.mirrors.optics import optical_rows
 from wavequake.workflows.mirrors.study import FULL, AnyMirrorStudy, MirrorStudy
 
@@ -54,6 +55,7 @@ def film_of(
             bench = bench_of(manifest.study, name)
             whole = variant_of(bench, _reference(study))
             reduced = variant_of(bench, variant)
+            name = shown_name(study.model.content, name)
             label = f"case {case}, {name} {variant}"
             excited = _excited(study, bench, (whole, reduced), variant, device)
             takes += [

@@ -39,9 +39,8 @@ _WIDE = {("cpu", "float64"): 2, ("cpu", "float32"): 3, ("gpu", "float64"): 1, ("
 _NEGLIGIBLE = {"float64": 1e-15, "float32": 1e-7}
 # By how much amplitudes of images may differ from NumPy's, relative to the light and to phases above 1 rad.
 _TOLERANCE = {"float64": 1e-11, "float32": 1e-4}
-_COMPARED_COLUMNS = 64
-# Phases of lit cells of a launch whose memory is kept for the next one.
-_KEPT_BYTES = 1 << 26
+# Columns that are compared, and phases of lit cells of a launch whose memory is kept for the next one.
+_COMPARED_COLUMNS, _KEPT_BYTES = 64, 1 << 26
 _GROUP = 64  # work-items of a GPU
 
 

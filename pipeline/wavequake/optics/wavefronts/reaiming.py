@@ -7,7 +7,6 @@ remains, which central differences do not see.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from wavequake.optics.wavefronts.wavefront import (
     incoming_light,
     trace_light,
 )
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class StopSlopes:
     image: Array
 
 
-@lru_cache(maxsize=4)  # derivatives by motions and by figures need the same
+@prepared(maxsize=4)  # derivatives by motions and by figures need the same
 def stop_slopes(prepared: PreparedSystem) -> StopSlopes:
     """Return the slopes at rest, by central differences of rays aimed beside their points.
 

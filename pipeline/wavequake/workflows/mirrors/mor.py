@@ -47,6 +47,7 @@ from wavequake.workflows.mirrors.compared_models import (
     reduction_measures,
     wavefront_rms,
 )
+from wavequake.workflows.mirrors.model_store import shown_name
 from wavequake.workflows.mirrors.optics import Optics, figure_rows, mode_residuals, optical_rows
 from wavequake.workflows.mirrors.shapes import (
     MOST_TERMS,
@@ -252,7 +253,7 @@ def describe(study_text: str) -> dict[str, str]:
         stage = bench_of(study_text, name).stage
         frequencies, errors = spot_check(study, name)
         worst = f", at most {errors.max():.1e} off the full model" if len(errors) else ""
-        lines[f"model {name}"] = (
+        lines[f"model {shown_name(study.model.content, name)}"] = (
             f"{stage.full_order} degrees of freedom, intermediate {stage.order}{worst}"
             + (f" at {', '.join(f'{one:.0f}' for one in frequencies)} Hz" if len(errors) else "")
         )

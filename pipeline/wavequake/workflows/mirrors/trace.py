@@ -40,6 +40,7 @@ from wavequake.workflows.mirrors.bench import (
     variant_of,
 )
 from wavequake.workflows.mirrors.compared_models import variant_measures, wavefront_rms
+from wavequake.workflows.mirrors.model_store import shown_name
 from wavequake.workflows.mirrors.optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 from wavequake.workflows.mirrors.residual import (
     Residual,
@@ -304,7 +305,7 @@ def describe(study_text: str) -> dict[str, str]:
     lines = {}
     for name in study.models:
         bench = bench_of(study_text, name)
-        lines[f"model {name}"] = (
+        lines[f"model {shown_name(study.model.content, name)}"] = (
             f"{bench.stage.full_order} degrees of freedom, {counted(study.time.instants, 'instant')} of "
             f"{study.optics.rays} rays, {bench.optics.terms} Zernike terms"
         )
