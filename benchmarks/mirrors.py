@@ -26,7 +26,7 @@ from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import Response, displacements, respond
 from wavequake.optics.shapes.fit import apply, heights
 from wavequake.optics.shapes.motion_fit import figures, motion_fit
-from wavequake.workflows.mirrors.bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.bench import bench_of, variant_of
 from wavequake.workflows.mirrors.optics import Optics, displacements_mm
 from wavequake.workflows.mirrors.residual import coordinates_of, left_by, residual_of
 from wavequake.workflows.mirrors.study import TraceStudy
@@ -85,7 +85,7 @@ def measured(shape: str, variant: str) -> dict[str, dict[str, float]]:
     device = choose_device("auto")
     study = load_study("mirror-trace", {"model.shapes": [shape]})
     bench = bench_of(study.identity_text(), shape)
-    optics, model, instants = bench.optics, variant_of(bench, variant), time_of(study)
+    optics, model, instants = bench.optics, variant_of(bench, variant), study.time.seconds
     response = shaken(study, model, instants)
     coordinates = coordinates_of(response)
     moved = displacements_mm(displacements(response, model.surface)[0])

@@ -16,8 +16,7 @@ from wavequake.campaign.stopwatch import CPU
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.sources.common_history import (
     CommonHistory,
-    amplitude_generator,
-    amplitudes,
+    amplitudes_of_run,
 )
 from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.study import SegmentStudy
@@ -46,14 +45,13 @@ def seconds_of(study, first: int, cases: int, device: str) -> tuple[float, dict[
     return time.process_time() - start, dict(found.timings)
 
 
-def random_numbers() -> None:
+def random_numbers(device: str) -> None:
     parameters = CommonHistory(name="swing")
     for distribution in ("gaussian", "uniform"):
         one = parameters.model_copy(update={"piston_distribution": distribution})
-        random = amplitude_generator(one, 492, 1, 0)
-        amplitudes(one, 492, random, 1)  # loads what it takes
+        amplitudes_of_run(one, 492, 1, 0, 1, choose_device(device))  # loads what it takes
         start = time.process_time()
-        amplitudes(one, 492, random, _TOGETHER)
+        amplitudes_of_run(one, 492, 1, 1, _TOGETHER, choose_device(device))
         rate = _TOGETHER * 492 / (time.process_time() - start)
         print(f"  random numbers, {distribution:8} {rate / 1e6:8.1f} M/s")
 
@@ -63,7 +61,7 @@ def main(cases: int = 100_000) -> None:
     million = load_study("tmt-million")
     print(f"modal: 492 segments, ten instants, j <= 45, summaries; CPU time of one process, on {device}")
     with threadpool_limits(1):
-        random_numbers()
+        random_numbers(device)
         each, parts = [], {}
         for first in range(CHUNK, CHUNK + cases, CHUNK):
             count = min(CHUNK, CHUNK + cases - first)

@@ -18,7 +18,6 @@ from wavequake.workflows.mirrors import mor as mirror_mor
 from wavequake.workflows.mirrors.bench import (
     answers_of,
     bench_of,
-    frequencies_of,
     over_time,
     study_of,
     variant_of,
@@ -41,7 +40,7 @@ def main() -> None:
     device = choose_device("auto")
     with threadpool_limits(1):
         bench, answers = bench_of(text, "circular"), answers_of(text, "circular")
-        frequencies, optics = frequencies_of(study), bench.optics
+        frequencies, optics = study.reduction.hertz, bench.optics
         mirror_mor.exposures(study, optics, answers.aberrations, device)
         for name in study.reduction.variants:
             marks = [time.process_time()]

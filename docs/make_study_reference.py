@@ -28,7 +28,8 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
             if info.default is PydanticUndefined and not info.default_factory
             else shown(info.get_default(call_default_factory=True))
         )
-        lines.append(f"| `{name}` | {default} | {info.description or ''} |")
+        meaning = (info.description or "").replace("|", "\\|")
+        lines.append(f"| `{name}` | {default} | {meaning} |")
     return "\n".join(lines) + "\n" if len(lines) > 2 else ""
 
 
@@ -59,9 +60,10 @@ def is_list(annotation: Any) -> bool:
 def sections(model: type[BaseModel], path: str = "") -> Iterator[tuple[str, str, list[type[BaseModel]]]]:
     """Yield heading, owner and models of each section of a model, and of those inside it.
 
-    The owner is the kind of entry that a section is inside of, where there are several kinds.
+    The owner is the kind of entry that a section is inside of, where there are several kinds. What there must
+    be comes first.
     """
-    for name, info in model.model_fields.items():
+    for name, info in sorted(model.model_fields.items(), key=lambda one: not one[1].is_required()):
         found = models(info.annotation)
         if not found:
             continue

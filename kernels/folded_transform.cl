@@ -10,8 +10,8 @@
 // read, ACROSS = QUARTER padded to whole vectors, COLUMNS in whole groups of WIDE vectors, PACK and LINE
 // columns that lie together in the table along x and in the transformed rows, TERMS and FIELD (what the pupil
 // comes as: TERMS > 0: TERMS x TERMS Chebyshev coefficients of the phase, rows are y, and phases of cells on
-// the rim; else FIELD 1: complex numbers, 0: phases), SIZE numbers of a pupil, SHARED (1: other work-items fold
-// the pupil, into global memory; 0: each folds the row that it needs).
+// the rim; else FIELD 1: complex numbers, 0: phases), SHARED (1: other work-items fold the pupil, into global
+// memory; 0: each folds the row that it needs).
 //
 // The eight parts of a folded pupil are (even x, even y), (even x, odd y), (odd x, even y), (odd x, odd y),
 // each real and imaginary.
@@ -150,7 +150,7 @@ INLINE void add_rim(__global const scalar *rim_phase, __global const int *rim, _
 #endif
 
 #if SHARED
-__kernel void fold(__global const scalar *pupil, __global const scalar *amplitude,
+__kernel void fold(const int size, __global const scalar *pupil, __global const scalar *amplitude,
 #if TERMS
                    __global const scalar *chebyshev, __global const scalar *rim_phase,
                    __global const int *rim, __global const scalar *rim_light,
@@ -163,7 +163,7 @@ __kernel void fold(__global const scalar *pupil, __global const scalar *amplitud
     const size_t image = get_global_id(2);
     if (column >= HALF)
         return;
-    pupil += image * SIZE;
+    pupil += image * size;  // numbers of a pupil
     PREPARE(row);
     FOLD(LIGHT(row, column), folded + (image * HALF + row) * (8 * HALF) + column);
 }
@@ -181,7 +181,7 @@ __kernel void fold_rim(const int cells, __global const scalar *rim_phase, __glob
 #endif
 
 // Transform a folded row along x.
-__kernel void transform_rows(__global const scalar *pupil, __global const scalar *amplitude,
+__kernel void transform_rows(const int size, __global const scalar *pupil, __global const scalar *amplitude,
 #if TERMS
                              __global const scalar *chebyshev, __global const scalar *rim_phase,
                              __global const int *rim, __global const scalar *rim_light, const int cells,
@@ -204,7 +204,7 @@ __kernel void transform_rows(__global const scalar *pupil, __global const scalar
         return;
 #else
     __local scalar folded[8 * HALF];
-    pupil += image * SIZE;
+    pupil += image * size;  // numbers of a pupil
     PREPARE(row);
     for (int column = low; column < high; column += W) {
         // The last group overlaps the one before it, so that all lanes are columns.

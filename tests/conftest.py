@@ -86,12 +86,32 @@ def undrawn():
 
 
 @pytest.fixture
+def lettered(monkeypatch):
+    """Have figures say on pages what is written in them, in one test of a file that leaves them undrawn."""
+    from matplotlib.text import Text
+
+    from wavequake.report import page
+
+    def words(figure, salt):
+        return f"<svg>{' '.join(one.get_text() for one in figure.findobj(Text))}</svg>"
+
+    monkeypatch.setattr(page, "svg_text", words)
+
+
+@pytest.fixture
 def drawn(monkeypatch):
-    """Draw figures in one test of a file that leaves them undrawn."""
+    """Draw figures in one test of a file that leaves them undrawn, but do not seek room for what they say.
+
+    That takes half of the time; tests of reports in a browser do.
+    """
     from wavequake.drawing import style
     from wavequake.report import page
 
-    monkeypatch.setattr(page, "svg_text", style.svg_text)
+    def crowded(figure, salt):
+        figure.set_layout_engine("none")
+        return style.svg_text(figure, salt)
+
+    monkeypatch.setattr(page, "svg_text", crowded)
 
 
 @pytest.fixture(scope="session", autouse=True)

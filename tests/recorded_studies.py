@@ -33,7 +33,16 @@ MIRRORS = {
     "optics.zernike_terms": 21,
     "time.duration_s": 0.004,
 }
+GAUSS = {
+    "optics.rays": 100,
+    "disturbance.vibration.instants": 8,
+    "disturbance.all.instants": 8,
+}
+# A field off the axis, in one color, where a variant needs no more.
+ASIDE = GAUSS | {"system.fields_deg": [[0.0, 10.0]], "system.wavelengths_nm": [587.6]}
 SHAKEN = {
+    "telescope.name": "tmt-18",
+    "segments.name": "6",
     "model.divisions": 3,
     "reduction.frequencies": 20,
     "reduction.spot_checks": 1,
@@ -123,14 +132,14 @@ class Small:
 
 RECORDED = {
     "controller-mor": Small("controller-mor", CONTROLLED),
-    "double-gauss": Small("double-gauss", {"optics.rays": 100}, 8),
+    "double-gauss": Small("double-gauss", GAUSS, 8),
     "double-gauss-slopes": Small(
-        "double-gauss", {"optics.rays": 120, "wavefront.method": "slopes", "wavefront.zernike_terms": 15}, 4
+        "double-gauss", ASIDE | {"wavefront.method": "slopes", "wavefront.zernike_terms": 15}, 4
     ),
     "double-gauss-sphere": Small(
         "double-gauss",
-        {
-            "optics.rays": 100,
+        ASIDE
+        | {
             "wavefront.reference": "fitted",
             "campaign.sampling": "latin-hypercube",
             "campaign.replicates": 2,

@@ -94,7 +94,10 @@ def test_a_model_whose_sets_have_other_names_is_begun_and_says_what_to_set(waveq
 
 
 def test_a_flat_plate_finds_the_key_that_its_plan_asks_for(wavequake):
-    assert wavequake("new", "plate.sti")[0] == 0
+    code, out, _ = wavequake("new", "plate.sti")
+    assert code == 0
+    assert "To be edited before it runs: the optical surface of the imported model is flat" in out
+    assert "optics.focal_length_m which parabola it stands for" in out
     code, *said = wavequake("plan", "plate.toml")
     assert code == 2
     assert "optics.focal_length_m" in " ".join(map(str, said))

@@ -52,7 +52,7 @@ def test_a_kind_gives_what_it_promises_and_a_case_does_not_depend_on_its_chunk(k
             np.testing.assert_array_equal(alone.arrays[key][0], whole[key][last].to_numpy(), err_msg=key)
 
 
-STEERED = part("sensor", name="image", model="line-of-sight", rate_hz=500.0)
+STEERED = part("sensor", name="image", model="line-of-sight", rate_hz=50.0)
 STEERED += controller("loop", "integrator", "image", "steer")
 OPTIC = STEERED + part("actuator", name="steer", model="optic", of="surface 3", dofs=["rx", "ry"])
 TILT = STEERED + part("actuator", name="steer", model="m2-rigid") + "[look]\ntraced = 2\n"

@@ -118,12 +118,11 @@ def test_margins_are_those_of_the_closed_forms():
         s = 2 * np.sin(angle / 2)
         return s / np.sqrt(s**2 + gain**2 - 2 * gain * s * np.sin(1.5 * angle))
 
-    top = minimize_scalar(lambda angle: -size(angle), bounds=(0.1, 3.0), method="bounded").x
+    tight = {"xatol": 1e-9}
+    top = minimize_scalar(lambda one: -size(one), bounds=(0.1, 3.0), method="bounded", options=tight).x
     assert size(top) == pytest.approx(2.0, abs=2e-6)  # of a gain of six digits
-    # Read at the nearer of two frequencies; beside the top it falls with the square of the distance.
-    apart = np.diff(2 * np.pi * FRAME * frequency_grid(single(gain, 1.0))).max()
-    lost = size(top) - min(size(top - apart / 2), size(top + apart / 2))
-    assert size(top) - lost <= found.peak <= size(top) + 1e-12
+    assert found.peak == pytest.approx(size(top), rel=1e-12)
+    assert found.last_omega * FRAME == pytest.approx(2 * np.arcsin(gain / 2), rel=1e-10)
 
 
 def test_sensitivity_of_every_mode_at_once_is_that_of_few_directions(mirror):

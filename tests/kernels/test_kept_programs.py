@@ -28,10 +28,12 @@ def built(tmp_path, monkeypatch):
     def traced(device):
         compiled.clear()
         program._kernel.cache_clear()
+        program._program.cache_clear()
         return trace_segmented(**two_mirrors(), device=device).opd, len(compiled)
 
     yield traced
     program._kernel.cache_clear()
+    program._program.cache_clear()
 
 
 @pytest.mark.parametrize("device", ON_POCL, ids=lambda device: device.kind)

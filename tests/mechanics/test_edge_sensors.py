@@ -7,7 +7,6 @@ from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case
 from wavequake.mechanics.disturbances.sources.edge_sensors import (
     EdgeSensorNoise,
     _second_moments,
-    draw_edge_noise,
     null_count,
     sensor_matrix,
     shaping,
@@ -100,9 +99,23 @@ def test_a_reading_is_the_step_across_the_edge_and_the_dihedral_angle(ring):
         assert readings[0, edge] == pytest.approx([2, 5] @ place + arm * ([2, 5] @ outward), rel=1e-12)
 
 
+@pytest.mark.parametrize("instants", [1, 10, 161])
+def test_bits_do_not_depend_on_what_is_drawn_together(ring, instants):
+    entry, time = EdgeSensorNoise(name="edge"), np.arange(float(instants))
+
+    def drawn(realizations):
+        randoms = [lambda name, k=k: np.random.default_rng(k) for k in realizations]
+        return entry.draw_several([ring] * len(realizations), time, randoms, realizations)
+
+    together = drawn(range(32, 48))
+    for few in ([32], [35, 36, 47], range(38, 43)):
+        for realization, motion in zip(few, drawn(few), strict=True):
+            assert np.array_equal(motion.segment_motion, together[realization - 32].segment_motion)
+
+
 def test_the_shaped_noise_is_the_dense_pseudo_inverse_of_the_noise(ring):
     entry = EdgeSensorNoise(name="edge", sensor_rms_nm=2.0)
-    motion = draw_edge_noise(entry, ring, np.arange(5.0), np.random.default_rng(4))
+    motion = entry.draw(ring, np.arange(5.0), lambda name: np.random.default_rng(4))
     noise = np.random.default_rng(4).standard_normal((5, 24)) * 2e-9
     sensors = sensor_matrix(ring, 0.05, OFFSET)
     solution = (np.linalg.pinv(sensors.matrix.toarray(), rcond=1e-9) @ noise.T).T.reshape(5, 7, 3)

@@ -22,6 +22,8 @@ def test_apertures_of_the_beam():
     assert parse_zmx(near, "lens.zmx").pupil == Pupil("stop", pytest.approx(7 * 0.75))  # tan of asin 0.6
     cone = near.replace("OBNA 0.6 0", f"OBNA {math.degrees(math.asin(0.6))!r} 1")
     assert parse_zmx(cone, "lens.zmx").pupil.value == pytest.approx(7 * 0.75)
+    with pytest.raises(UserError, match=r"up to 160 degrees off the axis; below 90 is traced"):
+        parse_zmx(near.replace("OBNA 0.6 0", "OBNA 160 1"), "lens.zmx")
     assert pupil("FLOA", STOP + "\n  DIAM 3.5") == Pupil("stop", 3.5)
 
 

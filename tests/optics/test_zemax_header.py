@@ -53,9 +53,9 @@ def test_a_header_as_it_is_written_says_nothing_of_the_light():
     ("line", "match"),
     [
         ("ENVD x 1 1", "'x' is not a number"),
-        ("GFAC 1 1", r"line 5 \(GFAC\): the apodization of the pupil \(Gaussian\) is not supported"),
-        ("GFAC 1 2", r"\(cosine cubed\)"),
-        ("GFAC 0 7", r"\(type 7\)"),
+        ("GFAC -1 1", r"line 5 \(GFAC\): the factor of the Gaussian apodization is -1; it must be 0 to 20"),
+        ("GFAC nan 1", r"line 5 \(GFAC\)"),
+        ("GFAC 0 7", r"line 5 \(GFAC\): the apodization of the pupil is of type 7"),
     ],
 )
 def test_what_changes_the_light_is_refused_by_name_and_line(line, match):

@@ -132,8 +132,10 @@ def test_what_cannot_be_sharpened_is_a_sentence(stores, tmp_path, wavequake):
     with pytest.raises(UserError, match="has 100 cases; the modal model sharpens them by more"):
         sharpen(folder / "few", 100)
     wq.run(study, cases=8, store=tmp_path / "s", on="serial")
+    computed = []
     with pytest.raises(UserError, match=r"'aligned' has 8 traced cases in .*; take at least 20"):
-        sharpen(tmp_path / "s", 1000)
+        sharpen(tmp_path / "s", 1000, lambda *done: computed.append(done))
+    assert computed == []  # it is said before, not after
     wq.run(study, cases=16, store=tmp_path / "even", on="serial", campaign__sampling="sobol")
     with pytest.raises(UserError, match="are stratified, or share models"):
         sharpen(tmp_path / "even", 1000)

@@ -1,5 +1,7 @@
 """Quadratic forms of Gaussian numbers against closed forms, Imhof's integral and nested quadrature."""
 
+from math import erfc, exp, pi, sqrt
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -51,12 +53,21 @@ def test_imhof_says_the_same():
         np.testing.assert_allclose(exceedance(form, limit), exact, rtol=0.0, atol=1e-9)
 
 
+def density(x):
+    """As norm.pdf, in a hundredth of the time for a single number."""
+    return exp(-0.5 * x * x) / sqrt(2.0 * pi)
+
+
+def above(x):
+    return 0.5 * erfc(x / sqrt(2.0))
+
+
 def test_curvatures_of_both_signs_and_slopes_beside_them():
     form = quadratic_form(0.0, np.array([1.0, 3.0, 2.0]), np.diag([1.0, -1.0, 0.0]))
 
     def over(z):
-        inner = lambda y: norm.pdf(y) * norm.sf((15.0 - y * y - y - 3.0 * z + z * z) / 2.0)  # noqa: E731
-        return norm.pdf(z) * quad(inner, -12.0, 12.0, epsabs=1e-14, limit=200)[0]
+        inner = lambda y: density(y) * above((15.0 - y * y - y - 3.0 * z + z * z) / 2.0)  # noqa: E731
+        return density(z) * quad(inner, -12.0, 12.0, epsabs=1e-14, limit=200)[0]
 
     exact = quad(over, -12.0, 12.0, epsabs=1e-13, limit=200)[0]
     np.testing.assert_allclose(exceedance(form, 15.0), exact, rtol=1e-7)

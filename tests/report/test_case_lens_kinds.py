@@ -208,7 +208,7 @@ def test_a_shaken_segments_model_is_one_file_for_each_segment(tmp_path, monkeypa
     before, chief = trace_states(prepared, still, NUMPY), chief_rays(prepared, still)
     sphere = np.array([[*from_tiles(chief)[0, :2], 0.0, prepared.train.sphere_radius]])
     rows, away = [], []
-    for number in (5, 200, 491):
+    for number in (5, 11, 17):
         again = wq.load_system(wq.write_zmx(parts[telescope.segments.names[number]], tmp_path / "one.zmx"))
         mine = np.flatnonzero(prepared.rays.segment == number)
         x, y = prepared.rays.x[mine], prepared.rays.y[mine]

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.report.page import _marked
-from wavequake.report.segments.page import render_report, write_report
+from wavequake.report.page import _marked, render_page, write_page
+from wavequake.report.segments.page import page_of
 
 LIMITS = {"shake": (5.1, "mas")}
 VOID = {"meta", "br", "img", "link", "input", "hr"}
+
+
+def render_report(dataset, details, limits=None):
+    return render_page(dataset, page_of(dataset, details, limits))
+
+
+def write_report(dataset, details, path):
+    return write_page(render_report(dataset, details), path)
 
 
 class Reader(HTMLParser):

@@ -9,6 +9,7 @@ from wavequake.firmware.build import BOARDS, compiler_of
 from wavequake.report.lens import figures as draw
 from wavequake.report.lens import report as lens
 from wavequake.report.lens.over_frequency import over_frequency
+from wavequake.report.page import render_page
 from wavequake.workflows.lens.loops import looked
 from wavequake.workflows.loops.curves import frequencies, kept
 from wavequake.workflows.loops.loop_margins import loops_of
@@ -42,8 +43,7 @@ def test_table_and_answer_tell_medians(dataset, tmp_path):
 
 
 def test_report_holds_all_figures_and_what_is_left_out(dataset, tmp_path):
-    target = lens.write_report_of(tmp_path, dataset, tmp_path / "report.html", "numpy")
-    page = target.read_text()
+    page = render_page(dataset, lens.page_of(tmp_path, dataset, "numpy"))
     for key in (
         "bars-initial",
         "initial-model",
@@ -118,7 +118,7 @@ def test_firmware_is_shown_beside_double_precision(tmp_path):
     digest = f"{int(dataset['firmware_hash'][0, 0]):016x}"
     assert firmware.cells("firmware-q31")[0] == (digest, "")
     assert firmware.cells("modal")[0] == ("", "")
-    page = lens.write_report_of(tmp_path, dataset, tmp_path / "report.html", "numpy").read_text()
+    page = render_page(dataset, lens.page_of(tmp_path, dataset, "numpy"))
     assert digest in page
     assert "In 4 runs of the firmware" in page
     assert page.count("<svg") == 19  # with the layout

@@ -12,6 +12,7 @@ from wavequake.report.mirrors import figures as mirror_figures
 from wavequake.report.mirrors import report as mirrors
 from wavequake.report.mirrors import traces as mirror_traces
 from wavequake.report.mirrors.variants import criterion_of, largest, model_results, representatives
+from wavequake.report.page import render_page
 from wavequake.report.populations import left_out
 
 # Name, order, wavefront error (nm) under the two excitations, line of sight (mm), image.
@@ -166,8 +167,8 @@ def test_the_table_has_every_variant_and_the_check_of_the_sweep(tmp_path):
 
 
 def test_the_page_has_figures_of_every_kind(tmp_path):
-    path = mirrors.write_report_of(tmp_path, made(bound=0.05), tmp_path / "report.html", "numpy")
-    page = path.read_text()
+    dataset = made(bound=0.05)
+    page = render_page(dataset, mirrors.page_of(tmp_path, dataset, "numpy"))
     for part in (
         "models",
         "disc-both",
@@ -198,8 +199,8 @@ def test_both_responses_are_scaled_alike_at_the_first_optical_peak():
 
 def test_a_reference_alone_makes_a_page_without_warnings(tmp_path):
     alone = made(failed=tuple(name for name, *_ in VARIANTS if name != "full"))
-    path = mirrors.write_report_of(tmp_path, alone, tmp_path / "report.html", "numpy")
-    assert "no variant is done beside the reference" in path.read_text()
+    page = render_page(alone, mirrors.page_of(tmp_path, alone, "numpy"))
+    assert "no variant is done beside the reference" in page
 
 
 def test_as_many_variants_are_drawn_as_can_be_told_apart():
@@ -213,7 +214,7 @@ def test_the_exposures_that_are_shown_hold_the_variant_that_is_enough(monkeypatc
     dataset, seen = made(bound=0.05), []
     models, _ = mirrors.results_of(dataset)
     monkeypatch.setattr(
-        mirrors.draw, "exposure_panels", lambda *arguments: seen.append([one.variant for one in arguments[2]])
+        mirrors, "exposure_panels", lambda panels, axis: seen.append([one.title for one in panels[1:]])
     )
     monkeypatch.setattr(mirrors, "picture", lambda *arguments: arguments)
     monkeypatch.setattr(mirrors, "has_histories", lambda dataset: False)
@@ -272,7 +273,7 @@ def test_a_trace_report_says_how_far_the_methods_are_apart_why_and_what_they_cos
     text = _printed(mirror_traces.table_of(tmp_path, traced()))
     assert "craigb18 a 100.0 1.0e-04 1.0e-05 2.0e-03 – 8.00 4.00" in text
     assert "craigb18 b 100.0 1.0e-04 1.0e-05 2.0e-03 3.00 8.00 4.00" in text
-    page = mirror_traces.write_report_of(tmp_path, traced(), tmp_path / "r.html", "numpy").read_text()
+    page = render_page(traced(), mirror_traces.page_of(tmp_path, traced(), "numpy"))
     for part in ("Table 4.1", "disc-a", "cannot move"):
         assert part in page
 
@@ -287,14 +288,14 @@ def test_a_trace_from_before_residual_grids_has_dashes_for_them(tmp_path):
     assert np.isnan(first.missed)
     assert first.standard_s == pytest.approx(4 * 0.002)
     assert "craigb18 a 100.0 1.0e-04 1.0e-05 – – 8.00 4.00" in _printed(mirror_traces.table_of(tmp_path, old))
-    mirror_traces.write_report_of(tmp_path, old, tmp_path / "r.html", "numpy")
+    render_page(old, mirror_traces.page_of(tmp_path, old, "numpy"))
 
 
 def test_a_trace_without_light_or_cases_is_no_error(tmp_path):
     assert "differ" in mirror_traces.answer(mirror_traces.trace_results(traced(wfe=0.0)))
     nothing = traced().isel(case=[1])
     assert mirror_traces.answer(mirror_traces.trace_results(nothing)).startswith("No variant is done")
-    mirror_traces.write_report_of(tmp_path, nothing, tmp_path / "r.html", "numpy")
+    render_page(nothing, mirror_traces.page_of(tmp_path, nothing, "numpy"))
 
 
 def test_costs_are_bars_of_their_stages():

@@ -101,7 +101,7 @@ def test_another_dataset_is_refused_by_the_name_that_it_lacks(campaign):
 def test_what_is_left_out_is_named_wherever_it_stands(campaign, first):
     part = campaign.isel(case=slice(first, None))
     expected = [
-        Excluded(5, "shake", 2, "timed_out", "no answer after 600 s"),
+        Excluded(5, "shake", 2, "timed out", "no answer after 600 s"),
         Excluded(6, "wind", 3, "raised", "segment S1 lost all its rays"),
     ]
     assert left_out(part) == expected

@@ -13,7 +13,7 @@ from rich.table import Table
 from wavequake.report.loops import telescope
 from wavequake.report.populations import populations, summarize
 from wavequake.report.statistics import Quantile
-from wavequake.report.table import interval, number, rows, share, terminal_table
+from wavequake.report.table import empty_table, interval, number, rows, share, terminal_table
 from wavequake.terminal import in_blocks
 
 
@@ -39,6 +39,20 @@ def test_intervals_leave_out_the_bound_that_does_not_exist():
 )
 def test_only_all_is_100_percent(value, text):
     assert share(value) == text
+
+
+def test_names_fold_and_numbers_stay_on_one_line():
+    table = empty_table(("case", "verdict", "value"), ("case", "verdict"), fixed=True)
+    table.add_row("a name of many letters", "differs", "1.25 ± 0.05")
+    text = io.StringIO()
+    Console(file=text, width=40).print(table)
+    assert [line.split() for line in text.getvalue().splitlines() if line.strip()][2:] == [
+        ["a", "name", "of", "differs", "1.25", "±", "0.05"],
+        ["many", "letters"],
+    ]
+    assert [one.justify for one in table.columns] == ["left", "left", "right"]
+    assert [one.justify for one in empty_table("ab").columns] == ["left", "right"]
+    assert [one.justify for one in empty_table("ab", ()).columns] == ["right", "right"]
 
 
 def test_rows_of_a_hand_made_campaign(campaign):

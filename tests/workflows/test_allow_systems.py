@@ -93,7 +93,7 @@ def test_shares_cost_alike_by_differences_of_full_traces(euv):
 
 
 def test_costs_share_out_and_rz_does_nothing(euv):
-    found = allowances(euv, "wfe_change", 0.05, 0.3, "cost", cases=200)
+    found = allowances(euv, "wfe_change", 0.05, 0.3, "cost", cases=100)
     assert found.check.low <= 0.3 <= found.check.high
     np.testing.assert_allclose(found.shares.sum(), 1.0, rtol=1e-9)
     limited = [row for row, axis in enumerate(found.axes) if axis != "rz"]
@@ -109,7 +109,7 @@ def test_costs_share_out_and_rz_does_nothing(euv):
 
 
 def test_what_a_study_has_grown_by_the_factor_exceeds_the_limit_as_often(euv, tmp_path):
-    found = allowances(euv, "wfe_change", 0.1, 0.3, "factor", "mirrors", cases=200)
+    found = allowances(euv, "wfe_change", 0.1, 0.3, "factor", "mirrors", cases=100)
     assert found.exact
     sizes = {key: getattr(euv.disturbance[0].rms, key) for key in ("dx_um", "dy_um", "dz_um", "rx_urad")}
     sizes["ry_urad"] = sizes["rx_urad"]
@@ -128,7 +128,7 @@ def test_a_vibration_grows_until_its_own_draws_exceed_the_limit(lens, tmp_path):
     plain = lens.model_copy(update={"imaging": None})
     fewer = {"system.fields_deg": [[0.0, 0.0], [0.0, 5.0]], "system.wavelengths_nm": [587.6]}
     study = study_with(plain, {"disturbance.vibration.instants": 6, **fewer})
-    found = allowances(study, "wfe_change[field=(0, 0) deg]", 0.1, 30.0, "factor", "vibration", cases=200)
+    found = allowances(study, "wfe_change[field=(0, 0) deg]", 0.1, 30.0, "factor", "vibration", cases=100)
     assert not found.exact
     assert any("in 4000 draws" in line for line in allow_notes(found, "x", 30.0))
     lines = [

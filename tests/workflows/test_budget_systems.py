@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from wavequake import cli
+from wavequake.chain.sampling import slot
 from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.report.answers.budget import budget_figure, explanations
 from wavequake.workflows.budgets.budget import budget, stored_budget, summed
 from wavequake.workflows.budgets.systems import variants
-from wavequake.workflows.segments.launches import slot
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.bench import system_bench
 from wavequake.workflows.systems.disturbance import KIND

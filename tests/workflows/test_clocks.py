@@ -17,6 +17,7 @@ from wavequake.campaign.store.status import store_status
 from wavequake.campaign.store.verify import verify_store
 from wavequake.cluster.certificate import make_certificate
 from wavequake.report import campaign
+from wavequake.report.page import Page
 from wavequake.report.written import is_current
 
 CENTURY = 100 * 365 * 86400
@@ -127,10 +128,9 @@ def test_a_report_is_as_new_as_what_it_shows_whatever_the_clock_says(tmp_path, m
     class Plain:
         table_of = staticmethod(lambda store, dataset: Table())
 
-        @staticmethod
-        def write_report_of(store, dataset, target, device):
-            target.write_text("<p>a report</p>")
-            return target
+        page_of = staticmethod(
+            lambda store, dataset, device: Page("a report", [], "", [], [], [], "case", [])
+        )
 
     monkeypatch.setattr(campaign, "_report_of", lambda workflow: Plain)
     toy.run(path, cases=20)

@@ -244,8 +244,8 @@ def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, referenc
     ids=["Ctrl-C thrice", "terminal closed", "job ended"],
 )
 def test_a_command_that_is_interrupted_says_how_to_resume(tmp_path, on, sent):
-    words = ["run", "tmt18-history", "campaign.cases=5000", "--on", on, "--workers", "1"]
-    words += ["--store", str(tmp_path / "s")]
+    words = ["run", "tmt18-history", "campaign.cases=5000", "optics.rays=300", "store.chunk_cases=4"]
+    words += ["--on", on, "--workers", "1", "--store", str(tmp_path / "s")]
     process = subprocess.Popen(
         # SIGTERM comes through where a shell has made us ignore Ctrl-C.
         [

@@ -1,5 +1,6 @@
 """A plate from CalculiX through mirror-mor and mirror-trace: what a user brings."""
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from wavequake import cli
 from wavequake.campaign.store.store import open_store
 from wavequake.commands import stores
 from wavequake.errors import UserError
+from wavequake.report.campaign import summary_table
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.mirrors.trace import compute
 from wavequake.workflows.run import run_study
@@ -54,6 +56,14 @@ def test_a_file_named_on_the_command_line_lies_in_the_current_folder(tmp_path, m
     assert list(store["variant"].values) == ["full", "craigb18", "rubin18"]
     assert (store["status"] == 1).all()
     assert float(store["spot_error"].max()) < 1e-6
+    assert " (plate) off full-size" in summary_table(tmp_path / "s").caption
+    assert summary_table(tmp_path / "s").columns[0]._cells[0].plain == "plate"
+    for ending in ("sti", "mas", "dof", "inp"):  # the name is that of the file that was imported last
+        shutil.copy(f"plate.{ending}", tmp_path / f"my disc.{ending}")
+    load_study("mirror-mor", PLATE | {"model.file": str(tmp_path / "my disc.sti")})
+    assert " (my-disc) off full-size" in summary_table(tmp_path / "s").caption
+    monkeypatch.setattr(model_store, "model_folder", lambda: tmp_path / "none")
+    assert " (file) off full-size" in summary_table(tmp_path / "s").caption
 
 
 def test_its_frequencies_are_those_that_calculix_prints(tmp_path, monkeypatch):

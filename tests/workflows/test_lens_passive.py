@@ -7,6 +7,7 @@ from wavequake.control.bench import fitted_bench
 from wavequake.control.passive import objective
 from wavequake.errors import UserError
 from wavequake.report.lens import passive as report
+from wavequake.report.page import render_page
 from wavequake.workflows.lens.passive import compute, start_of, study_of
 from wavequake.workflows.run import run
 from wavequake.workflows.study import load_study
@@ -34,7 +35,7 @@ def test_report_names_the_best_start(tmp_path):
     dataset = run("lens-passive", cases=3, store=tmp_path / "s", passive__iterations=4).load()
     best = report.best_of(dataset)
     assert dataset["amplitude_sum"].to_numpy()[best] == dataset["amplitude_sum"].min()
-    text = report.write_report_of(tmp_path, dataset, tmp_path / "report.html", "numpy").read_text()
+    text = render_page(dataset, report.page_of(tmp_path, dataset, "numpy"))
     assert f"{float(dataset['lens_springs'][best, 0]):.0f}" in text
     assert "best of 3 starts" in text
     dataset["status"][:] = 2

@@ -16,7 +16,7 @@ from wavequake.optics.shapes.fit import apply, residual_grid
 from wavequake.optics.shapes.motion_fit import motion_fit
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import trace_light, trace_system
-from wavequake.workflows.mirrors.bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.bench import bench_of, variant_of
 from wavequake.workflows.mirrors.optics import displacements_mm, with_deformation
 from wavequake.workflows.mirrors.residual import (
     coordinates_of,
@@ -43,8 +43,8 @@ def _bench(terms, keys=FINE):
 
 def _response(study, bench, excitation=1):
     variant = variant_of(bench, "craigb18")
-    drive = drive_of(study.excitation[excitation], 3, time_of(study), 0)
-    return variant, respond(modal_model(variant, drive.prescribed), [drive], time_of(study))
+    drive = drive_of(study.excitation[excitation], 3, study.time.seconds, 0)
+    return variant, respond(modal_model(variant, drive.prescribed), [drive], study.time.seconds)
 
 
 def _wavefront(optics, figure, grid=None):

@@ -19,7 +19,7 @@ from wavequake.optics.shapes.fit import apply
 from wavequake.optics.shapes.motion_fit import motion_fit
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.mirrors import trace as mirror_trace
-from wavequake.workflows.mirrors.bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.bench import bench_of, variant_of
 from wavequake.workflows.mirrors.optics import displacements_mm
 from wavequake.workflows.mirrors.residual import coordinates_of
 from wavequake.workflows.mirrors.trace import MODAL, STAGES, STANDARD, compute, standard_method
@@ -90,7 +90,7 @@ def test_modes_of_which_only_z_is_kept_are_off_by_percents():
     """What the 1 % of the thesis may have been: motion across the slope, left out of the modes."""
     study = load_study("mirror-trace", TRACE)
     bench = bench_of(study.identity_text(), "circular")
-    variant, instants = variant_of(bench, "craigb18"), time_of(study)
+    variant, instants = variant_of(bench, "craigb18"), study.time.seconds
     drive = drive_of(study.excitation[0], 3, instants, 0)
     response = respond(modal_model(variant, drive.prescribed), [drive], instants)
     motion, coordinates = (

@@ -130,7 +130,8 @@ def test_a_slower_focus_bears_more_of_the_structures_focus():
     assert even.loops[1].by_mode[0] > 1.5 * slow.loops[1].by_mode[0]
 
 
-def test_a_run_says_how_fast_and_what_remains(tmp_path, drawn):
+@pytest.mark.usefixtures("lettered")
+def test_a_run_says_how_fast_and_what_remains(tmp_path):
     wq.run(study(cases=2), store=tmp_path / "s", on="serial")
     dataset = wq.open_store(tmp_path / "s")
     words = answer(dataset)

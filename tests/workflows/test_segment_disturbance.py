@@ -6,6 +6,7 @@ import pytest
 from small_telescope import DEVICE, chunk, only_pistons, study, text  # noqa: F401
 
 from wavequake.campaign.contract import DONE, RAISED
+from wavequake.chain.sampling import slot
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNoise
@@ -14,7 +15,7 @@ from wavequake.optics.segments.prepared import trace_states
 from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import energy_scale
-from wavequake.workflows.segments.launches import slot, surface_states
+from wavequake.workflows.segments.launches import surface_states
 from wavequake.workflows.study import study_with
 
 

@@ -7,6 +7,7 @@ from small_telescope import STUDY
 
 from wavequake.campaign.contract import DONE, RAISED
 from wavequake.campaign.store.store import open_store
+from wavequake.chain.sampling import slot
 from wavequake.errors import UserError
 from wavequake.report.answers.comparison import compare
 from wavequake.report.segments.fields import base_name, by_field, of_population
@@ -15,7 +16,6 @@ from wavequake.workflows.rare import rare_study
 from wavequake.workflows.run import run_study
 from wavequake.workflows.segments import disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of, benches_of
-from wavequake.workflows.segments.launches import slot
 from wavequake.workflows.segments.study import without_images
 from wavequake.workflows.segments.template import OF_ALL_PLACES, of_one_place, place_axis
 from wavequake.workflows.study import load_study, study_with

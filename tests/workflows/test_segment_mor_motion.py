@@ -22,7 +22,6 @@ from wavequake.workflows.segments.mor_bench import (
     reduced,
     segment_drive,
     study_of,
-    time_of,
     traced_instants,
 )
 from wavequake.workflows.segments.mor_study import telescope_study
@@ -104,7 +103,7 @@ def test_a_stiff_segment_on_springs_is_an_oscillator():
     side = hexagon_of(model.bench.system)[0] / 1e3
     mass = 1.5 * np.sqrt(3.0) * side**2 * study.model.thickness_m * study.model.density_kg_m3
     own, driven = np.sqrt(3 * 5e6 / mass), 2 * np.pi * 20.0
-    time = time_of(study)[traced_instants(study)]
+    time = study.time.seconds[traced_instants(study)]
     ratio = driven / own
     # From rest, under a ground that moves as a sin(w t).
     expected = 5e-6 / (1 - ratio**2) * (np.sin(driven * time) - ratio * np.sin(own * time))
@@ -121,7 +120,7 @@ def test_the_response_is_that_of_the_whole_model_by_matrix_exponentials():
     mass, damping, stiffness = (
         np.asarray(matrix.todense()) for matrix in (full.mass, full.damping_matrix, full.stiffness)
     )
-    order, time = len(mass), time_of(study)
+    order, time = len(mass), study.time.seconds
     step = time[1]
     drive = segment_drive(study, study.excitation[1], time, 7)
     inverse = np.linalg.inv(mass)

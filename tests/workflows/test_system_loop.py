@@ -131,6 +131,16 @@ def test_what_loops_of_a_system_cannot_do_is_a_sentence(tmp_path, old, new, said
         wq.run(written(tmp_path, text.replace(old, new, 1)), store=tmp_path / "s", on="serial")
 
 
+@pytest.mark.parametrize("sensor", ["camera", "slopes"])
+def test_sensors_that_know_evenly_lit_pupils_refuse_apodized_ones(tmp_path, sensor):
+    pupil = 'pupil_apodization = "gaussian"\napodization_factor = 1.0\npupil_obscuration'
+    text = "\n".join([SYSTEM.replace("pupil_obscuration", pupil), SHAKEN, LOOP, INTEGRATOR])
+    optics_of(load_study(written(tmp_path, text)))
+    other = text.replace('model = "line-of-sight"', f'model = "{sensor}"')
+    with pytest.raises(UserError, match=rf"sensor\.sight: the pupil of cassegrain .* sensor {sensor}"):
+        optics_of(load_study(written(tmp_path, other)))
+
+
 def test_the_store_of_a_run_keeps_the_sensitivities_of_its_system(tmp_path):
     stored(tmp_path, SYSTEM, SHAKEN, LOOP, PERFECT)
     study, store = load_study(tmp_path / "system-loop.toml"), tmp_path / "system-loop.store"

@@ -76,7 +76,7 @@ def test_a_run_that_is_interrupted_goes_on_with_the_same_bits(tmp_path, dataset,
 
 
 def test_memory_does_not_grow_with_time(tmp_path):
-    """Sixteen times as many frames of 16 cases: a small part of what their readings would take."""
+    """Thirteen times as many frames of 16 cases: a small part of what their readings would take."""
     more = """
 [[sensor]]
 name = "fast"
@@ -92,7 +92,7 @@ gain = 0.2
 """
     slow = {"disturbance.history.low_hz": 0.5, "disturbance.history.high_hz": 2.0, "look.traced": 0}
     peaks, frames = [], []
-    for duration in (0.5, 8.0):
+    for duration in (0.5, 6.5):
         study = written(tmp_path, more, slow | {"disturbance.history.duration_s": duration})
         bench, rows = bench_of(study), range(telescope_loop.ROWS)
         one = next(each for each in bench.controllers if each.name == "long")

@@ -32,6 +32,14 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+def require_own_names(kind: str, blocks: Sequence[Any], taken: Sequence[str] = ()) -> None:
+    """Raise ValueError if two of a kind have one name, or one has a name that is taken."""
+    names = [*taken, *(one.name for one in blocks)]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ValueError(f"two {kind}s are called {twice!r}; each needs a name of its own")
+
+
 class StudySection(Section):
     """What the study is called and which workflow runs it."""
 

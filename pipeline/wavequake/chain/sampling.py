@@ -7,7 +7,7 @@ what is known of an estimate's error is the scatter between sets.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 import scipy
@@ -17,15 +17,39 @@ from pydantic import Field, model_validator
 from wavequake.campaign.schema import CampaignSection
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
+from wavequake.mechanics.disturbances.population import Population
 from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Coordinates, Random, Streams, own_streams
 from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
+Kind = TypeVar("Kind", bound=Population)
+
 _STREAM = "~sampling"  # no disturbance can have this name
 _MOST_NUMBERS = 2**26  # of all Latin hypercubes together: 0.5 GB
 _MOST_POINTS = 2**30  # of one Sobol sequence
+
+
+def slots(shares: Sequence[int], cases: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the index of the population and the realization of each case.
+
+    Cases repeat a pattern in which population p has ``shares[p]`` rows, so that adding cases changes no
+    earlier one, and the n-th case of every population is realization n: comparisons between populations are
+    paired.
+    """
+    rows = np.asarray(shares, dtype=np.int64)
+    pattern = np.repeat(np.arange(len(rows)), rows)
+    first = np.cumsum(rows) - rows
+    round_, place = np.divmod(cases, len(pattern))
+    population = pattern[place]
+    return population, round_ * rows[population] + place - first[population]
+
+
+def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
+    """Return the population and realization of a case; see `slots`."""
+    which, realization = slots([population.share for population in populations], np.array([case]))
+    return populations[which[0]], int(realization[0])
 
 
 class SampledCampaignSection(CampaignSection):

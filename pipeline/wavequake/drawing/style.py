@@ -57,6 +57,12 @@ def one_panel(width: float = WIDTH, height: float = HEIGHT) -> tuple[Figure, Axe
     return figure, figure.add_subplot()
 
 
+def stacked(rows: int = 2, width: float = WIDTH, height: float = HEIGHT) -> tuple[Figure, list[Axes]]:
+    """Return a figure of this size in inches with axes above each other, of one x."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+
+
 def curve_style(place: int) -> dict[str, Any]:
     """Return color and line of one of many curves."""
     return {"color": COLORS[place % len(COLORS)], "linestyle": LINES[place % len(LINES)], "linewidth": 1.2}

@@ -52,6 +52,12 @@ def in_inches(
     return axes
 
 
+def label_powers(axis: Axis) -> None:
+    """Label a logarithmic axis at powers of ten."""
+    axis.set_major_formatter(FuncFormatter(power_of_ten))
+    axis.set_minor_formatter(NullFormatter())
+
+
 def power_of_ten(value: float, place: int | None = None) -> str:
     """Return a power of ten in plain text: parsing formulas takes longer than all the rest of a figure."""
     exponent = f"{np.log10(value):.0f}" if value > 0 else ""

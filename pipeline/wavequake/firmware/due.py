@@ -48,7 +48,7 @@ class DueDevice:
     instructions : list of int
         Of each step since `count` was set, from the timer's tick to the next look at it.
     count : bool
-        Count instructions.
+        Count instructions, which takes several times as long.
     late : bool
         Let the next step find that its deadline has passed.
     early : bool
@@ -77,10 +77,26 @@ class DueDevice:
         for segment in segments_of(image.path):
             self._emulator.mem_write(segment.address, segment.data)
         self._sizes: dict[tuple[int, int], int] = {}
-        self.count, self.instructions = False, list[int]()
+        self._hook: Any = None
+        self.instructions = list[int]()
         self._sample_time = image.gains.sample_time
-        self._count_blocks()
         self.reset()
+
+    @property
+    def count(self) -> bool:
+        """Whether instructions are counted."""
+        return self._hook is not None
+
+    @count.setter
+    def count(self, wanted: bool) -> None:
+        from unicorn import UC_HOOK_BLOCK
+
+        if wanted and self._hook is None:
+            self._hook = self._emulator.hook_add(UC_HOOK_BLOCK, self._count_block)
+        elif not wanted and self._hook is not None:
+            self._emulator.hook_del(self._hook)
+            self._hook = None
+        self._emulator.ctl_remove_cache(FLASH, FLASH + FLASH_SIZE)  # what was translated has the old hooks
 
     def reset(self) -> None:
         """Switch the board on and run to its first look at the timer."""
@@ -191,14 +207,8 @@ class DueDevice:
             self.missed = offset == PIOC_SODR
             self.was_missed |= self.missed
 
-    def _count_blocks(self) -> None:
-        from unicorn import UC_HOOK_BLOCK
-
-        def counted(_: Any, address: int, size: int, __: Any) -> None:
-            if self.count:
-                self._counted += self._instructions_of(address, size)
-
-        self._emulator.hook_add(UC_HOOK_BLOCK, counted)
+    def _count_block(self, _: Any, address: int, size: int, __: Any) -> None:
+        self._counted += self._instructions_of(address, size)
 
     def _instructions_of(self, address: int, size: int) -> int:
         """Return how many Thumb instructions a block has: those that begin with 0b11101 or more are long."""

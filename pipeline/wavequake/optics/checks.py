@@ -90,15 +90,18 @@ def _hints(kind: Any) -> dict[str, Any]:
     return {entry.name: hint for entry in fields(kind) for hint in [get_type_hints(kind)[entry.name]]}
 
 
+_PLAIN = (float, int, str)  # whose values are right whatever they are: a bool is none of them
+
+
 def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
     """Return where in a value there is what, and what would be right; None if all is."""
-    kind = _meant(kind)
-    origin = get_origin(kind)
+    if type(value) is kind and kind in _PLAIN:
+        return None
+    kind, origin, entries = _meant(kind)
     if origin in (Union, UnionType):
-        own = [one for one in get_args(kind) if is_dataclass(one) and type(value) is one]
-        if not own and all(_wrong(value, one) for one in get_args(kind)):
-            return "", value, _words(kind)
-        return _wrong(value, own[0]) if own else None
+        if type(value) in entries and is_dataclass(value):
+            return _wrong(value, type(value))
+        return ("", value, _words(kind)) if all(_wrong(value, one) for one in entries) else None
     if isinstance(kind, type) and (is_dataclass(kind) or (is_dataclass(value) and isinstance(value, kind))):
         if not isinstance(value, kind):
             return "", value, _words(kind)
@@ -106,7 +109,6 @@ def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
             (f".{name}", getattr(value, name), hint) for name, hint in _hints(cast(Any, type(value))).items()
         ]
     elif origin is tuple:
-        parts, entries = [], get_args(kind)
         if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "fiu":
             value = value.tolist()
         if isinstance(value, str) or not isinstance(value, Sequence):
@@ -124,9 +126,11 @@ def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
     return None
 
 
-def _meant(kind: Any) -> Any:
-    """Return what an alias stands for: NDArray of NumPy 2.5 is one of the statement `type`."""
-    return getattr(kind, "__value__", kind)
+@prepared(maxsize=512)
+def _meant(kind: Any) -> tuple[Any, Any, tuple[Any, ...]]:
+    """Return what an alias stands for (NDArray of NumPy 2.5 is one), its origin and its arguments."""
+    kind = getattr(kind, "__value__", kind)
+    return kind, get_origin(kind), get_args(kind)
 
 
 def _fits(value: Any, kind: Any, origin: Any) -> bool:
@@ -161,7 +165,7 @@ def _is_masked(values: Any) -> bool:
 
 
 def _words(kind: Any) -> str:
-    kind = _meant(kind)
+    kind = _meant(kind)[0]
     origin, entries = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(map(_words, entries)))

@@ -5,6 +5,7 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
@@ -23,7 +24,10 @@ from wavequake.report.exports.store import export, target_of
 from wavequake.report.written import as_comment, report_path, seal
 from wavequake.workflows.kinds import find_kind
 
-# Modules with table_of(store, dataset) and write_report_of(store, dataset, target, device), imported when a
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Modules with table_of(store, dataset) and page_of(store, dataset, device), imported when a
 # store asks for them. Other kinds have the plain report, which is made of their measures.
 _REPORTS = {
     "segment-disturbance": "segments.report",
@@ -46,6 +50,12 @@ _REPORTS = {
 
 def _report_of(workflow: str) -> ModuleType:
     return import_module(f"wavequake.report.{_REPORTS.get(workflow, 'plain')}")
+
+
+def _opened(store: Path) -> "xr.Dataset":
+    from wavequake.report.mirrors.names import name_models  # slow to load
+
+    return name_models(open_for_report(store))
 
 
 def load(workflow: str) -> None:
@@ -72,7 +82,7 @@ def _damage_named(store: Path) -> Iterator[None]:
 @few_at_once()
 def summary_table(store: Path) -> Table:
     """Return the table of a store for the terminal; raises as :func:`report_store`."""
-    dataset, manifest = open_for_report(store), read_manifest(store)
+    dataset, manifest = _opened(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
     with _damage_named(store):
         table: Table = _report_of(manifest.workflow).table_of(store, dataset)
@@ -94,16 +104,18 @@ def report_store(store: Path, target: Path | None = None) -> tuple[Table, Path]:
     if target is not None and target.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The report {target} must end in .html.")
     shows = seal(store)
-    dataset, manifest = open_for_report(store), read_manifest(store)
+    dataset, manifest = _opened(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
     report = _report_of(manifest.workflow)
+    from wavequake.report.page import KNOWN_ERRORS, render_page, write_page  # what draws is slow to load
+
     if (location(store) / ERRORS).exists():
         from wavequake.report.answers.errors_shown import page_with_errors
-        from wavequake.report.page import KNOWN_ERRORS  # what draws is slow to load
 
         dataset.encoding[KNOWN_ERRORS] = lambda page: page_with_errors(store, page)
     with _damage_named(store):
-        path = report.write_report_of(store, dataset, target or report_path(store), device_at_hand(manifest))
+        page = report.page_of(store, dataset, device_at_hand(manifest))
+        path = write_page(render_page(dataset, page), target or report_path(store))
         table = report.table_of(store, dataset)
     with suppress(OSError):  # without it, the report is written again
         if isinstance(path, ObjectPath):

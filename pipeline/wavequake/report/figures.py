@@ -29,6 +29,7 @@ from wavequake.drawing.style import WIDTH as WIDTH
 from wavequake.drawing.style import as_name, hover
 from wavequake.drawing.style import curve_style as curve_style
 from wavequake.drawing.style import one_panel as one_panel
+from wavequake.drawing.style import stacked as stacked
 from wavequake.drawing.ticks import draw_ticks_at_once, in_inches, number_powers, power_of_ten
 from wavequake.report.populations import Population
 from wavequake.report.segments.detail import Bent, Detail

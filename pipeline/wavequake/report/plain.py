@@ -13,7 +13,6 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -21,11 +20,11 @@ from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
 from wavequake.report.answers import budget
 from wavequake.report.figures import COLORS, LINES, STYLE, one_panel
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import quantile
 from wavequake.report.systems.figures import distributions
-from wavequake.report.table import interval, number
+from wavequake.report.table import empty_table, interval, number
 from wavequake.words import counted
 from wavequake.workflows import kinds
 from wavequake.workflows.kinds import find_kind
@@ -151,17 +150,9 @@ def _label(dataset: xr.Dataset, dim: str, place: int) -> str:
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     groups = groups_of(store, dataset)
-    table = Table(
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        caption=SMALL_PRINT,
-        caption_justify="left",
-    )
-    table.add_column("cases", overflow="fold")
-    table.add_column("measure", overflow="fold")
-    for _, label in _PERCENTILES:
-        table.add_column(label, justify="right")
+    words = "cases", "measure"
+    headers = (*words, *(label for _, label in _PERCENTILES))
+    table = empty_table(headers, words, padding=(0, 1, 0, 0), pad_edge=False, caption=SMALL_PRINT)
     found = rows(dataset)
     for group, mine in groups.items():
         head: str | Text = Text.assemble((group, "bold"), f"\n{int(mine.sum())}")
@@ -183,16 +174,15 @@ def _finite(values: Array) -> Array:
     return values[~np.isnan(values)]
 
 
-def write_report_of(
+def page_of(
     store: Path,
     dataset: xr.Dataset,
-    target: Path,
     device: str,
     found: list[Row] | None = None,
     first: Sequence[Picture] = (),
     answer: str = "",
-) -> Path:
-    """Write the HTML report: table, distributions, histories, images, and the pictures of the study kind.
+) -> Page:
+    """Return the HTML report: table, distributions, histories, images, and the pictures of the study kind.
 
     The rows `found` are shown instead of all, the pictures `first` instead of their distributions, and the
     `answer` is more than that cases are done.
@@ -214,7 +204,7 @@ def write_report_of(
         if figures
     ]
     cases = int(sum(mine.sum() for mine in groups.values()))
-    page = Page(
+    return Page(
         answer=(answer or f"{counted(cases, 'case')} of {kind.name} are done.")
         if cases
         else "No case is done yet.",
@@ -226,7 +216,6 @@ def write_report_of(
         kind=" / ".join(compared_labels(store, dataset)),
         left_out=left_out(dataset, compared_labels(store, dataset), most=1000),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _page_row(group: str, mine: NDArray[np.bool_], found: list[Row]) -> dict[str, tuple[str, str]]:

@@ -236,41 +236,35 @@ def nothing_known(failed: Mapping[str, int]) -> str:
     return f"Of {' and '.join(names)} nothing is known: {words} failed. "
 
 
-def excluded(dataset: xr.Dataset) -> tuple[Excluded, ...]:
+def excluded(dataset: xr.Dataset) -> list[Excluded]:
     """Return the cases that are in no statistic although computed: quarantined, or with a number missing."""
     arrays = _arrays(dataset)
-    status = arrays["status"]
-    meanings = STATUS_MEANINGS.split()
-    messages = dataset["message"].to_numpy() if "message" in dataset else np.full(status.size, "")
-    realizations = dataset["realization"].to_numpy() if "realization" in dataset.coords else None
-    return tuple(
-        Excluded(
-            case=int(arrays["case"][i]),
-            disturbance=str(arrays["disturbance"][i]),
-            realization=None if realizations is None else int(realizations[i]),
-            reason="a number is missing" if status[i] == DONE else meanings[status[i]].replace("_", " "),
-            message=str(messages[i]),
-        )
-        for i in np.flatnonzero((status != TODO) & ~arrays["usable"])
-    )
+    return left_out(dataset, missing=(arrays["status"] == DONE) & ~arrays["usable"])
 
 
 def left_out(
-    dataset: xr.Dataset, labels: str | Sequence[str] = "disturbance", most: int | None = None
+    dataset: xr.Dataset,
+    labels: str | Sequence[str] = "disturbance",
+    most: int | None = None,
+    missing: NDArray[np.bool_] | bool = False,
 ) -> list[Excluded]:
-    """Return the cases that failed (the first `most` of them), with the reason; `labels` name them."""
+    """Return the cases that failed (the first `most` of them), with the reason; `labels` name them.
+
+    Those that are done are among them where a number is `missing`.
+    """
     status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
-    rows = np.flatnonzero((status != DONE) & (status != TODO))[:most]
+    rows = np.flatnonzero(((status != DONE) & (status != TODO)) | missing)[:most]
     failed = dataset.isel(case=rows)
     names = [failed[name].to_numpy() for name in ([labels] if isinstance(labels, str) else labels)]
-    ids, messages = failed["case"].to_numpy(), failed["message"].to_numpy()
+    ids = failed["case"].to_numpy() if "case" in failed.coords else rows
+    messages = failed["message"].to_numpy() if "message" in failed else np.full(len(rows), "")
     realizations = failed["realization"].to_numpy() if "realization" in failed.coords else None
     return [
         Excluded(
             int(ids[place]),
             " / ".join(str(values[place]) for values in names),
             None if realizations is None else int(realizations[place]),
-            meanings[status[row]],
+            "a number is missing" if status[row] == DONE else meanings[status[row]].replace("_", " "),
             str(messages[place]),
         )
         for place, row in enumerate(rows)

@@ -10,7 +10,6 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
@@ -19,8 +18,8 @@ from wavequake.campaign.store.store import read_manifest
 from wavequake.report import plain
 from wavequake.report.figures import COLORS, LINES, STYLE, one_panel
 from wavequake.report.mirrors import swept as variants
-from wavequake.report.page import Picture, picture
-from wavequake.report.table import number
+from wavequake.report.page import Page, Picture, picture
+from wavequake.report.table import empty_table, number
 from wavequake.words import counted
 from wavequake.workflows.sweep import SweepStudy, label_names, template
 
@@ -41,12 +40,12 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     if study.base["study"]["workflow"] in _OF_VARIANTS:
         return variants.table_of(store, dataset)
     shown = rows(store, dataset)[:_MOST_COLUMNS]
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
-    table.caption = f"Medians over the cases of a point. {plain.OVER_TIME}"
-    table.add_column(" / ".join(plain.compared_labels(store, dataset)), overflow="fold")
-    table.add_column("cases", justify="right")
-    for row in shown:
-        table.add_column(row.title, justify="right", overflow="fold")
+    table = empty_table(
+        (" / ".join(plain.compared_labels(store, dataset)), "cases", *(row.title for row in shown)),
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        caption=f"Medians over the cases of a point. {plain.OVER_TIME}",
+    )
     for group, mine in plain.groups_of(store, dataset).items():
         known = [row.values[mine & np.isfinite(row.values)] for row in shown]
         medians = [number(float(np.median(one))) if len(one) else "–" for one in known]
@@ -54,11 +53,11 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     study = study_from_identity(SweepStudy, read_manifest(store).study)
     if study.base["study"]["workflow"] in _OF_VARIANTS:
-        return variants.write_report_of(store, dataset, target, device)
+        return variants.page_of(store, dataset, device)
     names, found = label_names(study), rows(store, dataset)
     swept = [
         name
@@ -68,7 +67,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     each = (over_values(dataset, found, name, names) for name in swept)
     pictures = [picture for one in each for picture in islice(one, _MOST_PICTURES)]
     answer = " ".join(_words(dataset, found, name, names) for name in swept)
-    return plain.write_report_of(store, dataset, target, device, found, pictures, answer)
+    return plain.page_of(store, dataset, device, found, pictures, answer)
 
 
 def rows(store: Path, dataset: xr.Dataset) -> list[plain.Row]:

@@ -1,8 +1,8 @@
 """The campaign's table: one row per disturbance model, for the terminal and for HTML."""
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Container, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -80,17 +80,32 @@ def rows(summaries: "Iterable[Summary]") -> list[dict[str, tuple[str, str]]]:
     return [_row(summary) for summary in summaries]
 
 
+def empty_table(
+    headers: Iterable[str], words: Container[str] | None = None, *, fixed: bool = False, **style: Any
+) -> Table:
+    """Return a table for the terminal that has no rows yet; numbers stand right.
+
+    Columns of `words`, by default the first, stand left. The others have no line breaks where they are
+    `fixed`. `style` is what rich's Table takes.
+    """
+    table = Table(**{"box": SIMPLE_HEAD, "caption_justify": "left", "title_justify": "left", **style})
+    for place, header in enumerate(headers):
+        if place == 0 if words is None else header in words:
+            table.add_column(header, overflow="fold")
+        else:
+            table.add_column(header, justify="right", no_wrap=fixed)
+    return table
+
+
 def table_of_rows(rows: Sequence[Row], caption: str, labels: int = 1, small: str = "") -> Table:
     """Return the table for the terminal of rows of a page, header -> (value, small print).
 
     The first `labels` columns are words. `small` is how small print stands behind its value, as " ({})"; it
     is left out otherwise.
     """
-    table = Table(box=SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 0))
-    for place, header in enumerate(rows[0] if rows else ()):
-        words = place < labels
-        name = header if words else "\n".join(header.rsplit(" ", 1))
-        table.add_column(name, justify="left" if words else "right", overflow="fold", no_wrap=not words)
+    headers = list(rows[0]) if rows else []
+    words, values = headers[:labels], ["\n".join(header.rsplit(" ", 1)) for header in headers[labels:]]
+    table = empty_table([*words, *values], words, fixed=True, caption=caption, padding=(0, 1, 0, 0))
     for row in rows:
         table.add_row(*(value + small.format(print_) if print_ else value for value, print_ in row.values()))
     return table
@@ -155,18 +170,11 @@ def _jitter(jitter: "Jitter") -> tuple[str, str]:
 
 def terminal_table(summaries: "Iterable[Summary]") -> Table:
     """Return the table for a terminal: a few lines per disturbance, which fit 80 columns."""
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_CAPTION, caption_justify="left")
-    table.add_column("disturbance\ncases", overflow="fold")
-    table.add_column("")
-    for header in ("WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)"):
-        table.add_column(header, justify="right", no_wrap=True)
-    for header in (
-        "segments\nrms (nm)",
-        "LOS rms\n(mas)",
-        "Strehl\nP50, P5\nMaréchal",
-        "EE80 (λ/D)\npeak P5\nRayleigh",
-    ):
-        table.add_column(header, justify="right", no_wrap=True)
+    names = ("disturbance\ncases", "")
+    numbers = "WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)", "segments\nrms (nm)", "LOS rms\n(mas)"
+    more = "Strehl\nP50, P5\nMaréchal", "EE80 (λ/D)\npeak P5\nRayleigh"
+    headers = (*names, *numbers, *more)
+    table = empty_table(headers, names, fixed=True, padding=0, pad_edge=False, caption=_CAPTION)
     for summary in summaries:
         jitter, error = _jitter(summary.los_jitter)
         model = "" if summary.los_model is None else f"\n({number(summary.los_model)})"

@@ -24,9 +24,9 @@ from wavequake.workflows.mirrors.bench import (
     bench_of,
     cases_of,
     over_time,
-    time_of,
     variant_of,
 )
+from wavequake.workflows.mirrors.model_store import shown_name
 from wavequake.workflows.mirrors.optics import optical_rows
 from wavequake.workflows.mirrors.study import FULL, AnyMirrorStudy, MirrorStudy
 
@@ -55,6 +55,7 @@ def film_of(
             bench = bench_of(manifest.study, name)
             whole = variant_of(bench, _reference(study))
             reduced = variant_of(bench, variant)
+            name = shown_name(study.model.content, name)
             label = f"case {case}, {name} {variant}"
             excited = _excited(study, bench, (whole, reduced), variant, device)
             takes += [
@@ -156,7 +157,7 @@ def _excited(
 ) -> list[Take]:
     """Return the response of both to every excitation, how far apart they are, and what the light does."""
     found = [over_time(study, one, one.surface, optical_rows(bench.optics, one)) for one in both]  # type: ignore[arg-type]
-    time, exposed = time_of(study), isinstance(study, MirrorExposureStudy)
+    time, exposed = study.time.seconds, isinstance(study, MirrorExposureStudy)
     step = -(-len(time) // (_MOST_IMAGES if exposed else _MOST_INSTANTS))
     takes = []
     for number, excitation in enumerate(study.excitation):

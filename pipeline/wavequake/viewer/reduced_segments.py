@@ -33,7 +33,6 @@ from wavequake.workflows.segments.mor_bench import (
     motions,
     reduced,
     study_of,
-    time_of,
     traced_instants,
 )
 
@@ -58,7 +57,7 @@ def film_of(
             small = model.reference if variant == reference else reduced(model, variant)
             which = chosen_segments(study, model.bench, disturbed)
             moved = motions(study, model, small, which.tolist())
-            time = time_of(study)[traced_instants(study)]
+            time = study.time.seconds[traced_instants(study)]
             for excitation, history in zip(study.excitation, moved, strict=True):
                 take = shaken(model, which, time, history, device)
                 takes.append(

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wavequake.campaign.schema import Section
+from wavequake.campaign.schema import Section, require_own_names
 
 STATIC, RMS = "static", "rms"
 
@@ -69,7 +69,7 @@ class AllowSection(Section):
 class BudgetGroupSection(Section):
     """A branch of the budget's tree."""
 
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, description="of the branch, by which other groups may list it")
     of: tuple[str, ...] = Field(
         min_length=1,
         strict=False,
@@ -90,9 +90,8 @@ class BudgetSection(Section):
     def _is_a_tree(self) -> "BudgetSection":
         parents: dict[str, str] = {}
         names = [group.name for group in self.group]
+        require_own_names("group", self.group)
         for group in self.group:
-            if names.count(group.name) > 1:
-                raise ValueError(f"two groups are called {group.name!r}; each needs a name of its own")
             inner = [name for name in group.of if name in names]
             if inner and len(inner) < len(group.of):
                 other = next(name for name in group.of if name not in names)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.mesh import read_mesh
 from wavequake.mechanics.importers.model import MESHES, READERS
@@ -49,12 +50,25 @@ def new_study(source: str, target: Path | None = None) -> tuple[Path, str]:
     text = _text(source, path.parent)
     try:
         path.write_text(text, encoding="utf-8")
-        load_study(path)
+        _require_surface(load_study(path))
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror or error}.") from None
     except UserError as error:
         return path, str(error)
     return path, ""
+
+
+def _require_surface(study: Study) -> None:
+    """Raise UserError if the surface of an imported mirror is none that a run takes, as a flat one."""
+    # Slow to import, and of no use to lenses.
+    from wavequake.workflows.mirrors.model_store import kept_model
+    from wavequake.workflows.mirrors.optics import surface_of
+    from wavequake.workflows.mirrors.study import AnyMirrorStudy
+
+    if isinstance(study, AnyMirrorStudy) and study.model.content is not None:
+        model = kept_model(study.model.content)
+        nodes = model.nodes[model.surface_nodes] * 1e3  # mm
+        surface_of(study, study.models[0], nodes, model.surface_weights)
 
 
 def _name(source: str) -> str:

@@ -82,14 +82,14 @@ def sharpened_quantile(
     def levels(places: NDArray[np.int64], population: NDArray[np.int64], degree: int) -> Array:
         """Return the quantile (r,) of r resampled sets of costly and of cheap cases, (r, n) and (r, N)."""
         one, other = costly[places], x[places]
-        powers = other[..., None] ** np.arange(degree + 1)
+        powers = np.stack([other**power for power in range(degree + 1)], axis=-1)
         normal = np.swapaxes(powers, 1, 2) @ powers + 1e-12 * count * np.eye(degree + 1)
         weights = np.linalg.solve(normal, np.swapaxes(powers, 1, 2) @ one[..., None])
         rest = (one - (powers @ weights)[..., 0]) * np.sqrt(count / (count - degree - 1))
-        found = rest[:, turn]
+        found, chosen = rest.take(turn, axis=1), all_x.take(population)
         for power in range(degree + 1):
-            found += weights[:, power] * all_x[population] ** power
-        return np.asarray(np.quantile(found, probability, axis=1))
+            found += weights[:, power] * chosen**power
+        return np.asarray(np.quantile(found, probability, axis=1, overwrite_input=True))
 
     whole, all_of_them = np.arange(count)[None], np.arange(len(every))[None]
     value, line = (float(levels(whole, all_of_them, degree)[0]) for degree in (2, 1))

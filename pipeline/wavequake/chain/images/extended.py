@@ -1,5 +1,6 @@
 """What an exposure shows of an extended object: a slit, a grating, a chart, stars, a picture of one's own."""
 
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
@@ -7,6 +8,7 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import Field
 
+from wavequake.campaign.measures import Measure, stored
 from wavequake.campaign.schema import Section
 from wavequake.chain.images.picture import in_frame, picture_of
 from wavequake.errors import UserError
@@ -152,3 +154,28 @@ def object_picture(section: ObjectSection, pixels: int, sampling: float) -> Arra
     if name == "grating":
         return objects.grating(shape, sampling, float(np.asarray(value)))
     return objects.resolution_chart(shape, sampling, np.asarray(value))
+
+
+def image_measures(
+    over: tuple[str, ...],
+    shown: ObjectSection | None,
+    focus: bool = False,
+    words: str = "mean of every instant's image at its line of sight; 1 = peak of the perfect one",
+    attrs: Mapping[str, str] | None = None,
+) -> Iterator[Measure]:
+    """Yield the measures of exposures, in `words`, over dimensions such as ``("field",)``; of an object, too.
+
+    With `focus` there are exposures in planes behind the image. `attrs` are further ones of the exposure.
+    """
+    frame = (*over, "y", "x")
+    about = "largest irradiance of the exposure, line of sight included; 1 = peak of the perfect image"
+    yield stored("peak", "1", about, over)
+    for share in (50, 80):
+        about = f"radius of {share} % encircled energy of the exposure; inf beyond the frame"
+        yield stored(f"ee{share}", "lambda/D", about, over)
+    yield stored("exposure", "1", words, frame, attrs=attrs or {})
+    if focus:
+        about = "exposure in planes behind the image; 1 = peak of the perfect image"
+        yield stored("exposure_focus", "1", about, (*over, "focus", "y", "x"))
+    if shown is not None:
+        yield stored("object_image", "1", "exposed image of " + lit_object_words(shown), frame)

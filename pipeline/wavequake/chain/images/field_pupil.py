@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.imaging.pupils.outlines import Outline, annulus
-from wavequake.imaging.pupils.pupil_function import PupilGrid, sampled_pupil
+from wavequake.imaging.pupils.pupil_function import PupilGrid, apodized, sampled_pupil
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.optics.rays.pupils import pupil_amplitude
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, incoming_light
 
@@ -48,6 +49,40 @@ def mapped_pupil(prepared: PreparedSystem, aperture: float, samples: int) -> Pup
     if np.linalg.det(to_cosines) < 0.0:
         corners = corners[:, ::-1]  # mirrored: counter-clockwise all the same
     return sampled_pupil(Outline(corners, ring.sign, ring.piece), samples, UNIT_DIAMETER)
+
+
+def with_light(
+    prepared: PreparedSystem, grid: PupilGrid, x: Array, y: Array, lit: NDArray[np.bool_] | None
+) -> tuple[PupilGrid, float]:
+    """Return a pupil with the light that it has at rest, and how many even cells would shine as it does.
+
+    Parameters
+    ----------
+    prepared : PreparedSystem
+    grid : PupilGrid
+        Of `mapped_pupil`.
+    x, y : ndarray, shape (m,)
+        Where its patches lie in the system's pupil.
+    lit : ndarray of bool, shape (N,), optional
+        Which rays arrive at rest; None: all.
+
+    Returns
+    -------
+    PupilGrid
+        Dark where no ray arrives, and apodized as the system's pupil is.
+    float
+        So many cells, evenly lit, bring as much light under as high a peak: the square of the sum of the
+        amplitudes over the sum of their squares.
+    """
+    if lit is not None and not lit.all():
+        grid = apodized(grid, seen_light(prepared, lit, x, y))
+    cells = float(grid.light.sum())
+    amplitude = pupil_amplitude(prepared.system, x, y)
+    if amplitude is None:
+        return grid, cells
+    square = float(grid.light @ amplitude**2)
+    grid = apodized(grid, amplitude)
+    return grid, float(grid.light.sum()) ** 2 / square
 
 
 def seen_light(prepared: PreparedSystem, lit: NDArray[np.bool_], x: Array, y: Array) -> Array:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.chain.images.camera import frame_axes
-from wavequake.chain.images.extended import ObjectSection, lit_object_words, object_image
+from wavequake.chain.images.extended import ObjectSection, image_measures, object_image
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import (
     cut,
@@ -65,18 +65,11 @@ def exposed(
 def exposure_measures(dim: str, shown: ObjectSection | None = None) -> Iterator[Measure]:
     """Yield what `exposed` returns for each entry of the dimension `dim`."""
     frame, kinds = (dim, "y", "x"), (dim, "shortcut")
-    if shown:
-        yield stored("object_image", "1", "exposed image of " + lit_object_words(shown), frame)
-    words = "mean of every instant's own image at its line of sight; 1 = peak of the perfect one"
-    yield stored("exposure", "1", words, frame)
+    yield from image_measures((dim,), shown)
     words = "image at rest convolved with the line of sight's trajectory (Störkle 2018, Eq. 3.80)"
     yield stored("exposure_los_only", "1", words, frame)
     words = "image at rest blurred by a Gaussian of the trajectory's mean and covariance"
     yield stored("exposure_gaussian", "1", words, frame)
-    yield stored("peak", "1", "largest irradiance of the exposure; 1 = peak of the perfect image", (dim,))
-    for share in (50, 80):
-        words = f"radius of {share} % encircled energy of the exposure"
-        yield stored(f"ee{share}", "lambda/D", f"{words}; inf beyond the frame", (dim,))
     words = "L2 norm of the difference of the shortcut's and the full image, of unit energy each"
     yield stored("image_error", "1", words, kinds)
     yield stored("peak_error", "1", "shortcut's largest irradiance over the full exposure's, minus 1", kinds)

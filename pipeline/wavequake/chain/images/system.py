@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from wavequake.chain.images.camera import Camera, DetectorSection, SharedImagingSection, require_pixels
 from wavequake.chain.images.coherent import lit_by_cells, mean_image, smeared_object
 from wavequake.chain.images.extended import ObjectSection, object_image
-from wavequake.chain.images.field_pupil import UNIT_DIAMETER, defocus, mapped_pupil, seen_light
+from wavequake.chain.images.field_pupil import UNIT_DIAMETER, defocus, mapped_pupil, with_light
 from wavequake.chain.images.streak import leaves_dots
 from wavequake.errors import UserError
 from wavequake.imaging.engines.choice import PsfEngine, point_spread, prepare_psf
@@ -27,7 +27,7 @@ from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import cut
 from wavequake.imaging.exposures.smear import add_smeared, empty_total, smeared_image
 from wavequake.imaging.pupils.nyquist import samples_for
-from wavequake.imaging.pupils.pupil_function import PupilGrid, apodized
+from wavequake.imaging.pupils.pupil_function import PupilGrid
 from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.wavefronts.record import Wavefront
@@ -88,6 +88,8 @@ class FieldImager:
     engine : PsfEngine
     defocus : ndarray, shape (K, m)
         Phase in waves in each of the planes through focus.
+    cells : float
+        So many cells of the grid, evenly lit, bring as much light under as high a peak.
     """
 
     grid: PupilGrid
@@ -95,6 +97,7 @@ class FieldImager:
     waves_per_mm: Array
     engine: PsfEngine
     defocus: Array
+    cells: float
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,7 @@ def prepare_images(
         weights * relative**2 / float((weights * relative**2).sum()),
         primary,
         first / (UNIT_DIAMETER * aperture),
-        tuple(float(row[primary].grid.light.sum()) * cell for row in imagers),
+        tuple(row[primary].cells * cell for row in imagers),
         np.stack([row[primary].los[0] for row in static]),
         shown,
         detector,
@@ -222,17 +225,15 @@ def _field_imager(
     to_pupil = np.linalg.inv(prepared.image_index * prepared.cosines / aperture)
     grid = mapped_pupil(prepared, aperture, section.pupil_samples)
     x, y = to_pupil @ np.stack([grid.x, grid.y])
-    if lit is not None and not lit.all():
-        grid = apodized(grid, seen_light(prepared, lit, x, y))
+    grid, cells = with_light(prepared, grid, x, y, lit)
     terms = prepared.fit.basis.shape[1]
-    sampling = section.sampling * relative
-    pixels = canvas * section.pixels
     return FieldImager(
         grid,
         annular_zernike(x, y, terms, prepared.system.pupil.obscuration),
         np.stack([grid.x, grid.y], axis=1) * (aperture / prepared.wavelength),
-        prepare_psf(grid, pixels, sampling, section.engine, device),
+        prepare_psf(grid, canvas * section.pixels, section.sampling * relative, section.engine, device),
         defocus(prepared, np.stack([grid.x, grid.y], axis=1) * aperture, section.focus_um),
+        cells,
     )
 
 

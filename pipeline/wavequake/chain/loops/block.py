@@ -109,7 +109,9 @@ class Centroids(Section):
     photons: Photons = Field(default=0.0, description="in a spot, per frame; 0: photons make no noise")
     read_noise: float = Field(default=0.0, ge=0, le=1e6, description="electrons rms per pixel")
     spot_mas: float = Field(default=20.0, gt=0, le=1e9, description="rms width of the spot along one axis")
-    pixel_mas: float = Field(default=20.0, gt=0, le=1e9)
+    pixel_mas: float = Field(
+        default=20.0, gt=0, le=1e9, description="width of a pixel of the detector on the sky"
+    )
     pixels: int = Field(default=8, ge=2, le=64, description="along one side of the window")
 
     def centroid_rms(self) -> float:
@@ -133,7 +135,7 @@ class Actuator(Section):
     # Half width of central differences in its units.
     step: ClassVar[float] = 10.0
 
-    name: str = Field(pattern=_NAMED)
+    name: str = Field(pattern=_NAMED, description="by which a [[controller]] or [[loop]] says what it moves")
     bandwidth_hz: float | None = Field(
         default=None, ge=1e-3, le=1e6, description="of first order; default: it follows at once"
     )
@@ -205,7 +207,9 @@ class Controller(Section):
     # Whether it takes several sensors.
     fuses: ClassVar[bool] = False
 
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_./-]*$")
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_./-]*$", description="of its cases in tables and figures"
+    )
     sensor: str = Field(default="", description="name of its [[sensor]]")
     actuator: str = Field(default="", description="name of its [[actuator]]")
     also_reads: tuple[str, ...] = Field(

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import Section
+from wavequake.campaign.schema import Section, require_own_names
 from wavequake.chain.loops.block import (
     ACTUATORS,
     CONTROLLERS,
@@ -80,11 +80,3 @@ class LoopBlocks(Section):
     def running(self, one: Controller) -> Sequence[Controller]:
         """Return the controllers that run together under the name of one."""
         return (one, *(self.part("controller", name) for name in one.beside))
-
-
-def require_own_names(kind: str, blocks: Sequence[Any]) -> None:
-    """Raise ValueError if two blocks of a kind have one name."""
-    names = [one.name for one in blocks]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ValueError(f"two {kind}s are called {twice!r}; each needs a name of its own")

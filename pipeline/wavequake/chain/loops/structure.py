@@ -33,8 +33,10 @@ _WHOLE = 1e-9
 class ModeSection(Section):
     """A mode of the structure that carries the segments."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]*$")
-    hz: float = Field(ge=1e-6, le=1e6)
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]*$", description="of the mode in tables, figures and messages"
+    )
+    hz: float = Field(ge=1e-6, le=1e6, description="eigenfrequency of the mode, undamped")
     zeta: float = Field(gt=0, lt=1, description="damping ratio")
     share: float = Field(
         ge=0, le=1, description="of the mirror's static response in the direction of its shape"

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
-from scipy.signal import tf2ss
 
 from wavequake.control.linear import Array
 
@@ -33,6 +32,8 @@ def wind_shake(amplitude: float, corner_hz: float, mode_hz: float, damping: floa
 
     It is c s / ((1 + s/w0)^2 (1 + xi s/w1 + (s/w1)^2)) on white noise.
     """
+    from scipy.signal import tf2ss  # takes half a second to load, in every worker
+
     corner, mode = 2 * np.pi * corner_hz, 2 * np.pi * mode_hz
     down = np.polymul(np.polymul([1 / corner, 1], [1 / corner, 1]), [1 / mode**2, damping / mode, 1])
     a, g, c, _ = tf2ss([np.sqrt(amplitude / 2) / (2 * np.pi), 0.0], down)

@@ -7,13 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from wavequake.control.linear import Array, LinearModel, frequency_response
+from wavequake.control.linear import Array, LinearModel
 
 Complex = NDArray[np.complex128]
 # A direction that matters less than this share of what is alike does not matter.
 _ALIKE = 1e-9
 # Channels below which nothing is gained.
 _FEW = 6
+# Singular values of what is not alike below this share are rounding.
+_ROUNDED = 1e-12
+# Frequencies that are computed together, to bound memory.
+_BLOCK = 256
 
 
 @dataclass(frozen=True)
@@ -46,9 +50,26 @@ class Parts:
         rest = np.sqrt(np.maximum(1.0 - np.sum(self.basis**2, axis=1), 0.0))
         return np.append(found[0], self.value), np.column_stack([found[1], rest])
 
-    def plant(self, channels: tuple[LinearModel, ...]) -> LinearModel:
-        """Return the plant along the basis, of one channel and of what goes through each mode."""
-        return coupled(channels, self.inner, self.into, self.drives)
+    def core(self) -> "Core":
+        """Return the fewest directions in which all its eigenvalues and poles are found.
+
+        B - value 1 = L R of rank r. With U = (L, into) and V = (R, drives), of r + K columns and rows, the
+        matrix s_0 value 1 + U D V, D the sizes s_0 (r times) and s_1 ... s_K, has the eigenvalues of
+        s_0 value 1 + V U D and, beside these, s_0 value (Sylvester's theorem on determinants).
+        """
+        n, modes = len(self.inner), self.into.shape[1]
+        value = 1.0 if self.value is None else self.value
+        left, sizes, right = np.linalg.svd(self.inner - value * np.eye(n))
+        rank = int((sizes > _ROUNDED * max(1.0, float(np.abs(self.inner).max(initial=0.0)))).sum())
+        if rank + modes > n:
+            return Core(self.inner, self.into, self.drives, None, self.value)
+        back = np.hstack([left[:, :rank] * sizes[:rank], self.into])
+        mixed = np.vstack([right[:rank], self.drives]) @ back
+        sees = value * np.eye(rank + modes)
+        sees[:, :rank] += mixed[:, :rank]
+        left_over = self.value is not None or rank + modes < n
+        drives = np.eye(modes, rank + modes, rank)
+        return Core(sees, mixed[:, rank:], drives, back, value if left_over else None)
 
     def whole(self, sizes: Complex) -> Complex:
         """Return the matrix of sizes (1 + K,) of one channel and of what goes through each mode."""
@@ -59,6 +80,65 @@ class Parts:
         if self.value is not None:
             found[n, n] = sizes[0] * self.value
         return found
+
+
+@dataclass(frozen=True)
+class Core:
+    """Few directions that have the eigenvalues of `Parts`, not its singular values.
+
+    Attributes
+    ----------
+    sees, into, drives : ndarray, shapes (q, q), (q, K) and (K, q)
+        As inner, into and drives of `Parts`.
+    back : ndarray, shape (N, q), or None
+        Along the basis of `Parts`, what answers along these directions. Each mode of the structure then is
+        driven by a direction of its own, the last K. None: they are those of the basis.
+    value : float or None
+        Of all other directions.
+    """
+
+    sees: Array
+    into: Array
+    drives: Array
+    back: Array | None
+    value: float | None
+
+    def plant(self, channels: tuple[LinearModel, ...], acts: int) -> tuple[LinearModel, Array]:
+        """Return the plant of one channel and of what goes through each mode, and what its first states move.
+
+        That is (N, states), along the basis of `Parts`. The first `acts` states of a channel are those of the
+        actuator, the last are commands that wait. Where a mode is driven by a direction of its own, they are
+        the same in both and stand there once.
+        """
+        rigid, *through = channels
+        if self.back is None:
+            plant = coupled(channels, self.sees, self.into, self.drives)
+            return plant, np.kron(rigid.c, np.eye(len(self.sees)))
+        alone = len(self.sees) - len(through)
+        models = (*[rigid] * alone, *through)
+        seen = []
+        for place, one in enumerate(models):
+            own = np.zeros((1, len(one.a)))
+            own[:, :acts], own[:, acts - len(rigid.a) :] = rigid.c[:, :acts], rigid.c[:, acts:]
+            rows = self.sees[:, [place]] @ own
+            seen.append(rows if place < alone else rows + self.into[:, [place - alone]] @ one.c)
+        plant = LinearModel(
+            block_diag(*(one.a for one in models)),
+            block_diag(*(one.b for one in models)),
+            np.hstack(seen),
+            np.zeros(self.sees.shape),
+            rigid.sample_time,
+        )
+        return plant, self.back @ block_diag(*(one.c for one in models))
+
+    def eigenvalues(self, sizes: Complex) -> Complex:
+        """Return the eigenvalues (f, q) of sizes (f, 1 + K), and, last, that of all other directions."""
+        found = np.empty((len(sizes), len(self.sees)), dtype=np.complex128)
+        for first in range(0, len(sizes), _BLOCK):
+            some = sizes[first : first + _BLOCK, None]
+            whole = some[..., :1] * self.sees + (self.into * some[..., 1:]) @ self.drives
+            found[first : first + _BLOCK] = np.linalg.eigvals(whole)
+        return found if self.value is None else np.column_stack([found, sizes[:, 0] * self.value])
 
 
 def apart(matrix: Array, into: Array, drives: Array) -> Parts:
@@ -123,5 +203,15 @@ def stacked(parts: Sequence[LinearModel]) -> LinearModel:
 
 def sizes_of(channels: tuple[LinearModel, ...], hertz: Array) -> Complex:
     """Return the responses (f, 1 + K) of one channel and of what goes through each mode."""
-    found = [frequency_response(one, 2 * np.pi * hertz)[:, 0, 0] for one in channels]
-    return np.asarray(np.array(found).T)
+    found = np.empty((len(hertz), len(channels)), dtype=np.complex128)
+    period = channels[0].sample_time
+    assert period is not None
+    z = np.exp(2j * np.pi * period * hertz)[:, None, None, None]
+    for count in {len(one.a) for one in channels}:
+        which = [place for place, one in enumerate(channels) if len(one.a) == count]
+        a, b, c, d = (np.stack([getattr(channels[k], name) for k in which]) for name in "abcd")
+        for first in range(0, len(hertz), _BLOCK):
+            some = slice(first, first + _BLOCK)
+            states = np.linalg.solve(z[some] * np.eye(count) - a, b.astype(complex))
+            found[some, which] = (c @ states + d)[..., 0, 0]
+    return found

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -15,15 +16,18 @@ Complex = NDArray[np.complex128]
 
 # Factors of the gain that are tried, up and down; beyond them a margin does not matter.
 _FACTORS = np.geomspace(1.0, 1e3, 150)
-# Eigenvalues within this factor and 45 degrees of -1 may be -1 between two frequencies; where none is, one of
-# so many factors is tried.
-_NEAR, _BETWEEN = 1.25, 8
 _ROUNDING = 1e-9
+# Where 1 + gain times an eigenvalue turns farther in a step, or turns are no whole number, poles are counted.
+_TURN, _WHOLE = 1.5, 0.2
 # An eigenvalue that turns by more between two frequencies is not known there; smaller ones are nothing.
 _KNOWN, _TINY = np.radians(60.0), 1e-300
 _POINTS = 1500
+# From one frequency to the next, as a share of the distance to the nearest pole, and of half the rate.
+_GRADED, _WIDEST, _LEAST = 0.05, 0.01, 1e-9
 # Eigenvalues whose crossings are followed, and frequencies at which singular values are taken.
 _FINE, _TRIED, _EVENLY = 60, 12, 60
+# How near the top of a peak is found, as a share of what it lies between.
+_FLAT = 1e-7
 
 
 @dataclass(frozen=True)
@@ -46,20 +50,31 @@ def pole_grid(values: Complex, period: float) -> Array:
     return np.unique(np.concatenate([about[(about > 0) & (about <= high)], *between]))
 
 
+def graded_grid(values: Complex, period: float) -> Array:
+    """Return rising frequencies up to half the rate of commands, in Hz, close where poles of a period are."""
+    high = 0.5 / period
+    poles = np.log(values[np.abs(values) > 1e-6]) / period / (2 * np.pi)
+    found = [1e-6 * high]
+    while found[-1] < high:
+        near = float(np.abs(1j * found[-1] - poles).min(initial=np.inf))
+        found.append(found[-1] + min(max(_GRADED * near, _LEAST * high), _WIDEST * high))
+    return np.array([*found[:-1], high])
+
+
 def gain_margins(gain: LoopGain, hertz: Array, radius: Callable[[float], float]) -> Margins:
     """Return margins from the loop gain at frequencies and the size of the largest pole by its factor."""
-    loci = gain.loci(hertz)
+    loci = followed(gain.loci(hertz))
     peak, where = _peak(gain, hertz, loci)
     late, at = _critical(gain, hertz, loci)
-    above = np.flatnonzero(np.abs(loci).max(axis=1) >= 1.0)
+    always = np.abs(loci[-1]).max() >= 1.0
     return Margins(
         peak,
         2 * np.pi * where,
-        first_unstable(radius, _worth_trying(loci, _FACTORS), np.inf),
-        first_unstable(radius, _worth_trying(loci, 1 / _FACTORS), 0.0),
+        first_unstable(radius, _FACTORS, np.inf, partial(_is_unstable, loci)),
+        first_unstable(radius, 1 / _FACTORS, 0.0, partial(_is_unstable, loci)),
         float(np.minimum(late, 2 * np.pi - late).min(initial=np.pi)),
         float((late / (2 * np.pi * at)).min(initial=np.inf)),
-        2 * np.pi * float(hertz[above[-1]]) if len(above) else 0.0,
+        2 * np.pi * float(hertz[-1] if always else at.max(initial=0.0)),
     )
 
 
@@ -76,9 +91,7 @@ def read_margins(loci: Complex) -> tuple[float, float, Complex]:
         The eigenvalue that has the gain margin, and that which has the phase margin; where there is none,
         that which comes nearest to -1.
     """
-    known = loci.copy()
-    for before, now in pairwise(known):
-        now[:] = now[linear_sum_assignment(np.abs(before[:, None] - now))[1]]
+    known = followed(loci)
     first, last = known[:-1], known[1:]
     turn, angle = np.angle(last * first.conj()), np.angle(-first)
     sizes = np.log(np.maximum(np.abs(known), _TINY))
@@ -99,25 +112,35 @@ def read_margins(loci: Complex) -> tuple[float, float, Complex]:
     return float(np.exp(-up.max(initial=-np.inf))), float(late.min(initial=np.pi)), known[:, which]
 
 
-def _worth_trying(loci: Complex, factors: Array) -> Array:
-    """Return the factors of the gain at which an eigenvalue of the loop gain may be -1, and some between.
+def followed(loci: Complex) -> Complex:
+    """Return eigenvalues (f, q) in an order in which each follows its predecessor."""
+    found = loci.copy()
+    if found.shape[1] > 1:
+        for before, now in pairwise(found):
+            now[:] = now[linear_sum_assignment(np.abs(before[:, None] - now))[1]]
+    return found
 
-    A pole crosses the unit circle where it is, so that elsewhere nothing becomes unstable, and the poles of
-    large loops take long.
+
+def _is_unstable(loci: Complex, factor: float) -> bool | None:
+    """Return whether a stable loop is unstable with its gain times a factor; None where steps are too wide.
+
+    The determinants of 1 + the gain with and without the factor have a ratio that is finite outside of the
+    unit circle, so that it turns about 0 along the circle once for each pole that is outside (the argument
+    principle). Half the circle suffices, as it is real at both ends.
     """
-    near = loci[(loci.real < 0) & (np.abs(loci.imag) < -loci.real)]
-    sizes = np.sort(np.abs(near))
-    first, last = (np.searchsorted(sizes, share / factors) for share in (1 / _NEAR, _NEAR))
-    kept = last > first
-    kept[::_BETWEEN] = True
-    return factors[kept]
+    turned = 0.0
+    for size, sign in ((factor, 1.0), (1.0, -1.0)):
+        values = 1.0 + size * loci
+        steps = np.angle(values[1:] / values[:-1])
+        if not np.abs(steps).max(initial=0.0) < _TURN:
+            return None
+        turned += sign * float(steps.sum()) / np.pi
+    return None if abs(turned - round(turned)) > _WHOLE else round(turned) != 0
 
 
 def _peak(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[float, float]:
     """Return the largest singular value of the sensitivity, looked for where eigenvalues peak, and its Hz."""
     sizes = (1.0 / np.abs(1.0 + loci)).max(axis=1)
-    if gain.whole(float(hertz[0])).shape == (1, 1):
-        return float(sizes.max()), float(hertz[sizes.argmax()])
     # Eigenvalues say where a peak is, but for matrices that are not normal singular values have their own.
     evenly = np.linspace(0, len(hertz) - 1, _EVENLY).astype(int)
     places = np.unique(np.concatenate([np.argsort(-sizes, kind="stable")[:_TRIED], evenly]))
@@ -125,7 +148,10 @@ def _peak(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[float, float]:
     top = int(np.argmax(found))
     low, high = hertz[places[max(top - 1, 0)]], hertz[places[min(top + 1, len(places) - 1)]]
     near = minimize_scalar(
-        lambda at: -_sensitivity(gain.whole(float(at))), bounds=(low, high), method="bounded"
+        lambda at: -_sensitivity(gain.whole(float(at))),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": _FLAT * (high - low)},
     )
     return max((float(found[top]), float(hertz[places[top]])), (-float(near.fun), float(near.x)))
 
@@ -153,15 +179,25 @@ def _critical(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[Array, Array
     return np.array(late), np.array(at)
 
 
-def first_unstable(radius: Callable[[float], float], factors: Array, none: float) -> float:
+def first_unstable(
+    radius: Callable[[float], float],
+    factors: Array,
+    none: float,
+    judge: Callable[[float], bool | None] = lambda factor: None,
+) -> float:
     """Return the first of rising or falling factors of the gain at which the loop becomes unstable.
 
-    Poles of size 1, as those of integrators that nothing sees, do not make it so.
+    Poles of size 1, as those of integrators that nothing sees, do not make it so. What `judge` knows of a
+    factor without poles is believed but for the limit itself.
     """
     last = float(factors[0])
     for factor in map(float, factors[1:]):
-        if radius(factor) - 1.0 > _ROUNDING:
-            limit = 1.0 if radius(last) < 1.0 - _ROUNDING else 1.0 + _ROUNDING
+        known = judge(factor)
+        if known is not False and radius(factor) - 1.0 > _ROUNDING:
+            before = radius(last)
+            if before - 1.0 > _ROUNDING:
+                return first_unstable(radius, factors, none)
+            limit = 1.0 if before < 1.0 - _ROUNDING else 1.0 + _ROUNDING
             return float(brentq(lambda one, size: radius(one) - size, last, factor, (limit,), rtol=1e-10))
         last = factor
     return none

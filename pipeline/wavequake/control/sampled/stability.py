@@ -14,7 +14,7 @@ from wavequake.control.linear import Array, LinearModel, frequency_response
 from wavequake.control.robustness.margins import Margins
 from wavequake.control.sampled.alike import Parts, apart, coupled, sizes_of, stacked
 from wavequake.control.sampled.channel import Dynamics, Timing, in_series, sampled_channel
-from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid, read_margins
+from wavequake.control.sampled.margins import LoopGain, gain_margins, graded_grid, read_margins
 from wavequake.control.sampled.regulator import Regulator, model_of
 
 Complex = NDArray[np.complex128]
@@ -26,6 +26,8 @@ _UNUSED = 1e-13
 # A pole that turns by less than this in a period, rad, is real but for rounding.
 _STILL = 1e-9
 _ROUNDED = 1e-9
+# Steps of an inverse iteration that begins this near to a pole.
+_INVERSE = 3
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,8 @@ class _Closed:
         Which channels take part.
     several, controller : LinearModel or None
         Plant and controller of N directions.
-    basis : ndarray, shape (p, N)
+    answers : ndarray, shape (p, states)
+        How channels show its first states.
     """
 
     channel: LinearModel
@@ -128,7 +131,7 @@ class _Closed:
     weights: Array
     several: LinearModel | None
     controller: LinearModel
-    basis: Array
+    answers: Array
 
     def poles(self, factor: float) -> list[Complex]:
         """Return the poles of each loop, with the loop gain times a factor."""
@@ -147,25 +150,38 @@ class _Closed:
         plant, own, c = self.several, self.controller, factor * self.several.c
         return np.block([[plant.a + plant.b @ own.d @ c, plant.b @ own.c], [own.b @ c, own.a]])
 
+    def swings(self, factor: float, value: complex) -> Array:
+        """Return by how much channels (p,) take part in a pole of the loop of several directions."""
+        step = self.step(factor)
+        near = step - value * (1.0 + _ROUNDED) * np.eye(len(step))
+        state = np.random.default_rng(0).standard_normal(len(step)).astype(complex)
+        for _ in range(_INVERSE):
+            state = np.linalg.solve(near, state)
+            state /= np.abs(state).max()
+        return np.asarray(np.abs(self.answers @ state[: self.answers.shape[1]]))
+
 
 def _closed(loop: SampledLoop, parts: Parts | None) -> _Closed:
     channels, period, p = loop.channels(), loop.timing.period, loop.sees.shape[1]
     if parts is None:
-        own = model_of(loop.regulator, period)
+        own, several = model_of(loop.regulator, period), plant_model(loop)
+        answers = np.kron(channels[0].c, np.eye(p))
         nothing = np.zeros(0, dtype=complex), np.zeros((p, 0))
-        return _Closed(channels[0], own, *nothing, plant_model(loop), own, np.eye(p))
+        return _Closed(channels[0], own, *nothing, several, own, answers)
     own = filter_of(loop.regulator)
     if not loop.structure:
         gains, vectors = _distinct(parts)
         return _Closed(channels[0], own, gains, np.abs(vectors), None, own, parts.basis)
-    rest = [] if parts.value is None else [parts.value]
+    core = parts.core()
+    rest = [] if core.value is None else [core.value]
     weights = np.sqrt(np.maximum(1.0 - np.sum(parts.basis**2, axis=1, keepdims=True), 0.0))
-    unit = np.eye(len(parts.inner))
+    unit = np.eye(len(core.sees))
     a, b, c, d = (np.asarray(np.kron(unit, one)) for one in (own.a, own.b, own.c, own.d))
-    several = LinearModel(a, b, c, d)
+    plant, answers = core.plant(channels, len(loop.dynamics))
     gains = np.array(rest, dtype=complex)
+    several, controller = plant, LinearModel(a, b, c, d)
     return _Closed(
-        channels[0], own, gains, weights[:, : len(rest)], parts.plant(channels), several, parts.basis
+        channels[0], own, gains, weights[:, : len(rest)], several, controller, parts.basis @ answers
     )
 
 
@@ -198,10 +214,7 @@ def worst_pole(loop: SampledLoop, factor: float = 1.0) -> Worst:
     if which < len(closed.gains):
         channels = closed.weights[:, which]
     else:
-        values, vectors = np.linalg.eig(closed.step(factor))
-        n = len(closed.channel.a) * closed.basis.shape[1]
-        parts = vectors[:n, np.abs(values).argmax()].reshape(-1, closed.basis.shape[1])
-        channels = np.abs(parts @ closed.basis.T).sum(axis=0)
+        channels = closed.swings(factor, complex(values[np.abs(values).argmax()]))
     value = complex(values[np.abs(values).argmax()])
     rate = np.log(max(abs(value), 1e-300)) / loop.timing.period
     turned = abs(np.angle(value))
@@ -262,11 +275,8 @@ def _loop_gain(loop: SampledLoop, parts: Parts | None) -> LoopGain:
         gains = _distinct(parts)[0]
         return LoopGain(lambda hertz: np.asarray(sizes(hertz) * gains), whole)
 
-    def loci(hertz: Array) -> Complex:
-        found = [np.linalg.eigvals(parts.whole(one)) for one in sizes(hertz)]
-        return np.asarray(found, dtype=np.complex128)
-
-    return LoopGain(loci, whole)
+    core = parts.core()
+    return LoopGain(lambda hertz: core.eigenvalues(sizes(hertz)), whole)
 
 
 def sampled_margins(loop: SampledLoop) -> Margins:
@@ -277,13 +287,11 @@ def sampled_margins(loop: SampledLoop) -> Margins:
     """
     parts = parts_of(loop)
     closed = _closed(loop, parts)
-    if parts is None:
-        values = np.linalg.eigvals(closed.controller.a).astype(complex)
-        if loop.structure or loop.further:
-            values = np.concatenate([values, *closed.poles(1.0)])
-    else:
-        values = np.concatenate(closed.poles(1.0))
-    return gain_margins(_loop_gain(loop, parts), pole_grid(values, loop.timing.period), closed.radius)
+    models = (*loop.channels(), closed.own)
+    values = np.concatenate(
+        [*(np.linalg.eigvals(one.a).astype(complex) for one in models), *closed.poles(1.0)]
+    )
+    return gain_margins(_loop_gain(loop, parts), graded_grid(values, loop.timing.period), closed.radius)
 
 
 @dataclass(frozen=True)

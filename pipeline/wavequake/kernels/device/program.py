@@ -245,7 +245,7 @@ def scalar_types(arguments: Sequence[Any]) -> tuple[np.dtype[Any] | None, ...]:
     return tuple([one.dtype if isinstance(one, np.generic) else None for one in arguments])
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _kernel(
     device: Device,
     name: str,
@@ -259,21 +259,29 @@ def _kernel(
     """
     import pyopencl as cl
 
+    text = source(f"{name}.cl") if text is None else text
+    try:
+        kernel = cl.Kernel(_program(device, text, constants), name)
+    except Exception:  # a cache holds what this driver does not take: another version's, or damaged
+        kernel = cl.Kernel(_program(device, text, constants, anew=True), name)
+    kernel.set_scalar_arg_dtypes(types)
+    return kernel
+
+
+@lru_cache(maxsize=64)
+def _program(device: Device, text: str, constants: tuple[tuple[str, int], ...], anew: bool = False) -> Any:
+    """Build a program once for all of its kernels; `anew` believes no cache."""
+    import pyopencl as cl
+
     # -w: a CPU without 512-bit vectors warns of each function that takes lanes, though all are inlined.
     options = ["-cl-std=CL1.2", "-w", *(f"-D{key}={value}" for key, value in constants)]
-    text = source(f"{name}.cl") if text is None else text
     on_pocl = device.platform == POCL and device.kind == "cpu"
     text = for_pocl(text, has_wide_vectors()) if on_pocl else text
     with warnings.catch_warnings():  # compilers that have nothing to warn of say that all is well
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        try:
-            made = _from_binary if on_pocl else _from_source
-            kernel = cl.Kernel(made(device, text, options), name)
-        except Exception:  # a cache holds what this driver does not take: another version's, or damaged
-            anew = [*options, "-DBUILT_ANEW"]  # the driver's own cache goes by source and options
-            kernel = cl.Kernel(cl.Program(_context(device), text).build(anew, cache_dir=False), name)
-    kernel.set_scalar_arg_dtypes(types)
-    return kernel
+        if anew:  # the driver's own cache goes by source and options
+            return cl.Program(_context(device), text).build([*options, "-DBUILT_ANEW"], cache_dir=False)
+        return (_from_binary if on_pocl else _from_source)(device, text, options)
 
 
 @dataclass(frozen=True)

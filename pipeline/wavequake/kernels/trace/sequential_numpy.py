@@ -19,7 +19,12 @@ from wavequake.kernels.trace.phases_numpy import diffracted, focused
 from wavequake.kernels.trace.polynomial_numpy import polynomial
 from wavequake.kernels.trace.sequence import Element, Focus, Moving, Rays, Region, Sequence, TracedRays
 from wavequake.kernels.trace.status import DIVERGED, MISS, NO_ORDER, OK, TOTAL_REFLECTION, VIGNETTED
-from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes, even_sag_and_slopes
+from wavequake.kernels.trace.surfaces import (
+    conic_path,
+    conic_sag_and_slopes,
+    conic_slopes,
+    even_sag_and_slopes,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -90,8 +95,7 @@ def sag_and_slopes(
     """
     parts = []
     if element.form is None or element.form.near is None:
-        base = conic_sag(x, y, element.curvature, element.conic)
-        parts.append((base, *conic_slopes(x, y, element.curvature, element.conic)))
+        parts.append(conic_sag_and_slopes(x, y, element.curvature, element.conic))
     if element.form is not None:
         parts.append(form_heights(element.form, x, y))
     if element.even:
@@ -264,7 +268,7 @@ def _meet(
     if is_conic(element):
         # The closed form loses some digits to cancellation, which a step of Newton's iteration restores.
         hit = state.position + path * d
-        sag, slope_x, slope_y = sag_and_slopes(element, hit[0], hit[1])
+        sag, slope_x, slope_y = conic_sag_and_slopes(hit[0], hit[1], element.curvature, element.conic)
         step = (sag - hit[2]) / (d[2] - slope_x * d[0] - slope_y * d[1])
         state.position, state.path = hit + step * d, state.path + index * (path + step)
         state.lose(missed, MISS, number)

@@ -40,6 +40,17 @@ def conic_slopes(x: ArrayLike, y: ArrayLike, curvature: ArrayLike, conic: ArrayL
     return np.asarray(factor * x, dtype=np.float64), np.asarray(factor * y, dtype=np.float64)
 
 
+def conic_sag_and_slopes(
+    x: ArrayLike, y: ArrayLike, curvature: ArrayLike, conic: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Return what `conic_sag` and `conic_slopes` do, to the bit, from one square root."""
+    square = np.square(x) + np.square(y)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(1.0 - (1.0 + np.asarray(conic)) * np.square(curvature) * square)
+        factor = np.where(root > 0.0, curvature / root, np.nan)
+        return curvature * square / (1.0 + root), factor * x, factor * y
+
+
 def conic_path(
     position: Array, direction: Array, curvature: ArrayLike, conic: ArrayLike, sense: int = 0
 ) -> Array:
@@ -63,10 +74,10 @@ def conic_path(
         Path length in mm; NaN for a ray that misses: no intersection, or one that is not on the sag branch.
     """
     c, kappa = np.asarray(curvature, dtype=np.float64), np.asarray(conic, dtype=np.float64)
-    along = np.sum(position * direction, axis=0)
-    z, d_z = position[2], direction[2]
+    (x, y, z), (d_x, d_y, d_z) = position, direction
+    along = x * d_x + y * d_y + z * d_z
     f = d_z - c * (along + kappa * z * d_z)
-    g = c * (np.sum(position * position, axis=0) + kappa * z * z) - 2.0 * z
+    g = c * (x * x + y * y + z * z + kappa * z * z) - 2.0 * z
     h = -c * (1.0 + kappa * d_z * d_z)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         root = np.where((sense or d_z) < 0.0, -1.0, 1.0) * np.sqrt(f * f + h * g)

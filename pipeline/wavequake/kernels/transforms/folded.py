@@ -27,6 +27,8 @@ from wavequake.kernels.transforms.folded_pupils import (
 
 Floating = NDArray[np.float32] | NDArray[np.float64]
 Real = NDArray[np.float64]
+# What kernels read of pupils, compile-time constants that say what that is, and how many numbers a pupil has.
+_Given = tuple[dict[str, NDArray[Any]], dict[str, int], int]
 # Images in a launch: as many as have their transformed columns in the cache (1 MB each at 512 cells and 128
 # pixels), since each launch takes up to half a millisecond beside its work.
 _FEWEST, _MOST, _CACHED_BYTES = 8, 64, 1 << 23
@@ -37,9 +39,8 @@ _WIDE = {("cpu", "float64"): 2, ("cpu", "float32"): 3, ("gpu", "float64"): 1, ("
 _NEGLIGIBLE = {"float64": 1e-15, "float32": 1e-7}
 # By how much amplitudes of images may differ from NumPy's, relative to the light and to phases above 1 rad.
 _TOLERANCE = {"float64": 1e-11, "float32": 1e-4}
-_COMPARED_COLUMNS = 64
-# Phases of lit cells of a launch whose memory is kept for the next one.
-_KEPT_BYTES = 1 << 26
+# Columns that are compared, and phases of lit cells of a launch whose memory is kept for the next one.
+_COMPARED_COLUMNS, _KEPT_BYTES = 64, 1 << 26
 _GROUP = 64  # work-items of a GPU
 
 
@@ -267,9 +268,9 @@ def _image_steps(
     t, dtype = transform, transform.amplitude.dtype
     half, quarter = (len(t.amplitude) + 1) // 2, (t.pixels + 1) // 2
     if isinstance(pupils, SmoothPhase):
-        inputs, form = _smooth(t, pupils)
+        inputs, form, size = _smooth(t, pupils)
     else:
-        inputs, form = _lit(t, pupils) if isinstance(pupils, LitPhase) else _cellular(t, pupils)
+        inputs, form, size = _lit(t, pupils) if isinstance(pupils, LitPhase) else _cellular(t, pupils)
     batch, terms = count_of(pupils), form["TERMS"]
     gpu = t.device.kind == "gpu"
     tall, wide = _TALL[t.device.kind], _WIDE[t.device.kind, dtype.name]
@@ -284,7 +285,7 @@ def _image_steps(
         return Step(_text(), kernel, names, size, along, arguments)
 
     tables = ("chebyshev", "rim_phase", "rim", "rim_light") if terms else ("ramp", "starts")
-    pupil = ("pupil", "amplitude", *tables)
+    pupil = (np.int32(size), "pupil", "amplitude", *tables)
     cells = (np.int32(inputs["rim_phase"].shape[1]),) if terms else ()
     steps = [step("fold", (half, half, batch), *pupil, "folded")] if gpu else []
     if gpu and terms:
@@ -316,8 +317,8 @@ def _image_steps(
     return steps, inputs, {name: batch * count * dtype.itemsize for name, count in numbers.items()}
 
 
-def _cellular(t: FoldedTransform, pupils: NDArray[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
-    """Return what kernels read of pupils that are given cell by cell, and the constants that say so."""
+def _cellular(t: FoldedTransform, pupils: NDArray[Any]) -> _Given:
+    """Return what kernels read of pupils that are given cell by cell, constants, and their size."""
     samples, field = len(t.amplitude), np.iscomplexobj(pupils)
     if field:
         ramp = t.ramp.astype(np.float64)
@@ -325,11 +326,11 @@ def _cellular(t: FoldedTransform, pupils: NDArray[Any]) -> tuple[dict[str, NDArr
         pupils = np.stack([pupils.real, pupils.imag], axis=1)
     starts = np.repeat(samples * np.arange(samples, dtype=np.int32)[:, None], 2, axis=1)
     inputs = {"pupil": np.asarray(pupils, t.amplitude.dtype), "ramp": t.ramp, "starts": starts}
-    return inputs, {"TERMS": 0, "FIELD": int(field), "SIZE": (1 + field) * samples * samples}
+    return inputs, {"TERMS": 0, "FIELD": int(field)}, (1 + field) * samples * samples
 
 
-def _lit(t: FoldedTransform, pupils: LitPhase) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
-    """Return what kernels read of pupils that are given where light falls, and the constants that say so."""
+def _lit(t: FoldedTransform, pupils: LitPhase) -> _Given:
+    """Return what kernels read of pupils that are given where light falls, constants, and their size."""
     samples, (batch, size) = len(t.amplitude), pupils.values.shape
     # Vectors hold dark cells, too: up to half a row of them before the first lit one and after the last.
     room = batch * size + 2 * samples, t.amplitude.dtype
@@ -337,7 +338,7 @@ def _lit(t: FoldedTransform, pupils: LitPhase) -> tuple[dict[str, NDArray[Any]],
     padded[:samples] = padded[-samples:] = 0.0
     padded[samples:-samples].reshape(batch, size)[...] = pupils.values
     inputs = {"pupil": padded, "ramp": t.ramp, "starts": pupils.starts + np.int32(samples)}
-    return inputs, {"TERMS": 0, "FIELD": 0, "SIZE": size}
+    return inputs, {"TERMS": 0, "FIELD": 0}, size
 
 
 @lru_cache(maxsize=4)
@@ -346,8 +347,8 @@ def _room(size: int, dtype: np.dtype[Any], thread: int) -> NDArray[Any]:
     return np.empty(size, dtype)
 
 
-def _smooth(t: FoldedTransform, pupils: SmoothPhase) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
-    """Return what kernels read of pupils whose phases are polynomials, and the constants that say so."""
+def _smooth(t: FoldedTransform, pupils: SmoothPhase) -> _Given:
+    """Return what kernels read of pupils whose phases are polynomials, constants, and their size."""
     samples, dtype = len(t.amplitude), t.amplitude.dtype
     axis = (2.0 * np.arange(samples // 2, samples) + 1.0) / samples - 1.0
     ramp = _ramp_slope(t.pixels, t.sampling)
@@ -363,7 +364,7 @@ def _smooth(t: FoldedTransform, pupils: SmoothPhase) -> tuple[dict[str, NDArray[
     inputs = {"pupil": coefficients.astype(dtype), "chebyshev": chebyshev.astype(dtype)}
     inputs["rim_phase"] = np.pad(rim, ((0, 0), (0, t.width))).astype(dtype)
     inputs |= {"rim": t.rim_places, "rim_light": t.rim_light if t.rim_light.size else np.zeros(4, dtype)}
-    return inputs, {"TERMS": terms, "FIELD": 0, "SIZE": terms * terms}
+    return inputs, {"TERMS": terms, "FIELD": 0}, terms * terms
 
 
 def _ramp_slope(pixels: int, sampling: float) -> float:

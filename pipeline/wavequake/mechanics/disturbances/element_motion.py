@@ -26,7 +26,9 @@ class CombinedElements(Combine):
     out.
     """
 
-    instants: int = Field(default=16, ge=1, le=MOST_INSTANTS)
+    instants: int = Field(
+        default=16, ge=1, le=MOST_INSTANTS, description="of the sum, evenly spread over duration_s"
+    )
 
 
 ElementDisturbance = Annotated[Population, AnySource("surfaces", CombinedElements)]

@@ -161,8 +161,13 @@ def counted_generator(seed: int, stream_name: str, steps: int) -> np.random.Gene
     Where every realization takes a fixed number of steps, each of four 64-bit numbers, those of any run of
     realizations are drawn at once and do not depend on where the run begins.
     """
+    return np.random.Generator(np.random.Philox(counter=steps, key=counted_key(seed, stream_name)))
+
+
+def counted_key(seed: int, stream_name: str) -> NDArray[np.uint64]:
+    """Return the key (2,) of a disturbance's counted numbers."""
     key = np.random.SeedSequence(seed, spawn_key=(_stream(stream_name),)).generate_state(2, np.uint64)
-    return np.random.Generator(np.random.Philox(counter=steps, key=key))
+    return np.asarray(key, dtype=np.uint64)
 
 
 def _stream(name: str) -> int:

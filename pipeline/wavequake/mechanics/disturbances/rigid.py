@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from wavequake.mechanics.disturbances.population import NonNegative
 
@@ -14,12 +14,12 @@ class RigidSizes(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    dx_um: NonNegative = 0.0
-    dy_um: NonNegative = 0.0
-    dz_um: NonNegative = 0.0
-    rx_urad: NonNegative = 0.0
-    ry_urad: NonNegative = 0.0
-    rz_urad: NonNegative = 0.0
+    dx_um: NonNegative = Field(default=0.0, description="shift along x; 0: none")
+    dy_um: NonNegative = Field(default=0.0, description="shift along y; 0: none")
+    dz_um: NonNegative = Field(default=0.0, description="shift along z; 0: none")
+    rx_urad: NonNegative = Field(default=0.0, description="turn about x; 0: none")
+    ry_urad: NonNegative = Field(default=0.0, description="turn about y; 0: none")
+    rz_urad: NonNegative = Field(default=0.0, description="turn about z; 0: none")
 
     def si(self) -> NDArray[np.float64]:
         """Return the six numbers in m and rad."""

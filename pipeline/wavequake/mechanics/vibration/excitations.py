@@ -71,7 +71,9 @@ class Sinusoid(Excitation):
 
     kind: Literal["sinusoid"] = "sinusoid"
     amplitude: float = Field(default=10e-6, gt=0, description="m or N")
-    frequency_hz: float = Field(default=100.0, gt=0, le=1e6)
+    frequency_hz: float = Field(
+        default=100.0, gt=0, le=1e6, description="of the sinusoid; default: 100 Hz, as in the reference text"
+    )
     ramp_s: float = Field(default=0.0, ge=0, description="0: an abrupt start, a jump of velocity")
 
 
@@ -79,9 +81,11 @@ class ForceImpulse(Excitation):
     """A blow: momentum given to each chosen interface node at one instant."""
 
     kind: Literal["impulse"] = "impulse"
-    acts: Literal["force"] = "force"  # type: ignore[assignment,unused-ignore]
+    acts: Literal["force"] = Field(  # type: ignore[assignment,unused-ignore]
+        default="force", description="always a force: a blow gives momentum"
+    )
     momentum_n_s: float = Field(default=1.0, description="N s at each node")
-    at_s: float = Field(default=0.0, ge=0)
+    at_s: float = Field(default=0.0, ge=0, description="instant of the blow; 0: the first one")
 
     @model_validator(mode="after")
     def _is_a_blow(self) -> Self:
@@ -99,7 +103,9 @@ class RandomVibration(Excitation):
     """
 
     kind: Literal["psd"] = "psd"
-    spectrum: Literal["flat", "resonance", "file"] = "flat"
+    spectrum: Literal["flat", "resonance", "file"] = Field(
+        default="flat", description="shape of the power spectral density over frequency"
+    )
     rms: float | None = Field(default=None, gt=0, le=1e12, description="m or N, once swung in")
     low_hz: float = Field(default=10.0, ge=1e-6, le=1e9, description="of the flat spectrum")
     high_hz: float = Field(default=400.0, ge=1e-6, le=1e9, description="of the flat spectrum")

@@ -135,12 +135,11 @@ def aimed_rays(
     chief = newton(aim, start[:, None], np.zeros((2, 1)))
     if not _aimed(aim, chief, np.zeros((2, 1))).all():
         followed = _followed_chief(system, data, field, wavelength, aim)
-        if followed is not None:
-            chief = followed
-    if not _aimed(aim, chief, np.zeros((2, 1))).all():
-        raise UserError(
-            _no_chief(system, aim, start[:, None], chief, beam, _where(system, field, wavelength))
-        )
+        if followed is None or not _aimed(aim, followed, np.zeros((2, 1))).all():
+            last = chief if followed is None else followed
+            where = _where(system, field, wavelength)
+            raise UserError(_no_chief(system, aim, start[:, None], last, beam, where))
+        chief = followed
     target = radius * np.stack([x, y])
     _, slopes = aim.meet_with_slopes(chief)
     if abs(determinant(slopes)[0]) * beam**2 < 1e-12 * radius**2:

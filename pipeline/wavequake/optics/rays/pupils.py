@@ -1,4 +1,4 @@
-"""Rays over the pupil: a sunflower, a grid, or an exact cubature of every segment."""
+"""Rays over the pupil: a sunflower, a grid, or an exact cubature of every segment; and their amplitude."""
 
 from dataclasses import dataclass, replace
 from math import ceil, isfinite, pi, sqrt
@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import number, whole
+from wavequake.optics.media.glasses import refractive_index
 from wavequake.optics.segments.layout import Segments, areas, candidates, is_monolithic
 from wavequake.optics.shapes.concave import triangles
 from wavequake.optics.shapes.polygons import centroids, concave
-from wavequake.optics.systems.system import OpticalSystem
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, wavelength_of
 
 Array = NDArray[np.float64]
 
@@ -195,3 +197,27 @@ def on_glass(system: OpticalSystem, rays: PupilRays) -> PupilRays:
             f"{system.annulus.inner:g} to {system.annulus.outer:g} mm) meets the glass of a segment."
         )
     return replace(rays, x=rays.x[hit], y=rays.y[hit], weight=rays.weight[hit] / total, segment=segment[hit])
+
+
+def pupil_amplitude(system: OpticalSystem, x: Array, y: Array) -> Array | None:
+    """Return the amplitude of the light at places of an apodized pupil; None: it is 1 everywhere.
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    x, y : ndarray, shape (N,)
+        In units of the pupil's radius; the light is that of the whole pupil, whatever part a field fills.
+
+    Returns
+    -------
+    ndarray, shape (N,), or None
+        1 at the center; by the formulas of `wavequake.optics.systems.apodization.Apodization`.
+    """
+    given = system.pupil.apodization
+    if given is None or (given.kind == "cosine_cubed" and not isfinite(system.object_distance)):
+        return None
+    square = x**2 + y**2
+    if given.kind == "gaussian":
+        return np.exp(-given.factor * square) if given.factor else None
+    tangent = paraxial(system).object_na / refractive_index(system.medium, wavelength_of(system))
+    return np.asarray((1.0 + tangent**2 * square) ** -0.75, dtype=np.float64)

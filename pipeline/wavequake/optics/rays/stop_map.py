@@ -84,18 +84,20 @@ class Aim:
 
 def newton(aim: Aim, numbers: Array, target: Array, safe: Array | None = None) -> Array:
     """Return numbers whose rays meet the target (2, N); a step that loses a ray is halved."""
-    if safe is not None:
-        numbers = _recovered(aim, np.broadcast_to(safe, numbers.shape), numbers)
-    numbers, active = numbers.copy(), np.arange(numbers.shape[1])
+    if safe is None:
+        numbers, (met, slopes) = numbers.copy(), aim.meet_with_slopes(numbers)
+    else:
+        numbers, met, slopes = _recovered(aim, np.broadcast_to(safe, numbers.shape), numbers)
+    active = np.arange(numbers.shape[1])
     for _ in range(_STEPS):
-        met, slopes = aim.meet_with_slopes(numbers[:, active])
         miss = target[:, active] - met
         going = (np.max(np.abs(miss), axis=0) > 0.1 * AIMED) & np.isfinite(slopes).all(axis=(1, 2))
         going &= determinant(slopes) != 0.0
         if not going.any():
             break
         active, now = active[going], numbers[:, active[going]]
-        numbers[:, active] = _recovered(aim, now, now + solved(slopes[going], miss[:, going]))
+        there = now + solved(slopes[going], miss[:, going])
+        numbers[:, active], met, slopes = _recovered(aim, now, there)
     return numbers
 
 
@@ -111,12 +113,17 @@ def solved(slopes: Array, right: Array) -> Array:
     return np.stack([x, y]) / determinant(slopes)
 
 
-def _recovered(aim: Aim, good: Array, numbers: Array) -> Array:
-    """Return numbers, or points half way, a quarter of the way ... from good ones, that reach the stop."""
-    numbers, active = numbers.copy(), np.arange(numbers.shape[1])
-    for _ in range(_HALVINGS):
-        active = active[~np.isfinite(aim.meet(numbers[:, active])).all(axis=0)]
-        if not active.size:
+def _recovered(aim: Aim, good: Array, numbers: Array) -> tuple[Array, Array, Array]:
+    """Return numbers, or points half way, a quarter of the way ... from good ones, that reach the stop.
+
+    And where they meet it (2, N), with slopes (N, 2, 2).
+    """
+    numbers, (met, slopes) = numbers.copy(), aim.meet_with_slopes(numbers)
+    lost = np.flatnonzero(~np.isfinite(met).all(axis=0))
+    for _ in range(_HALVINGS if lost.size else 0):
+        numbers[:, lost] = 0.5 * (good[:, lost] + numbers[:, lost])
+        met[:, lost], slopes[lost] = aim.meet_with_slopes(numbers[:, lost])
+        lost = lost[~np.isfinite(met[:, lost]).all(axis=0)]
+        if not lost.size:
             break
-        numbers[:, active] = 0.5 * (good[:, active] + numbers[:, active])
-    return numbers
+    return numbers, met, slopes

@@ -22,7 +22,7 @@ the axis on which the later surfaces stand; every other tilt and decenter moves 
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from wavequake.errors import UserError
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.sections import MM_PER_NM, FileSection, Pair
 from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.systems.apodization import STRONGEST, Apodization
 from wavequake.optics.systems.glass_file import GlassSection, embed_glasses, own_glasses
 from wavequake.optics.systems.phase_file import effect_of
 from wavequake.optics.systems.surface_file import (
@@ -77,26 +78,62 @@ class SystemSection(FileSection):
     glass_file: str | None = Field(
         default=None, exclude=True, description="a catalogue of glasses, .agf (read when the study is loaded)"
     )
-    entrance_diameter_mm: float | None = Field(default=None, gt=0)
+    entrance_diameter_mm: float | None = Field(
+        default=None, gt=0, description="of the entrance pupil; one of the keys that say how wide the beam is"
+    )
     f_number: float | None = Field(default=None, gt=0, description="paraxial, in the image space")
-    object_na: float | None = Field(default=None, gt=0)
-    image_na: float | None = Field(default=None, gt=0)
-    stop_radius_mm: float | None = Field(default=None, gt=0)
+    object_na: float | None = Field(
+        default=None,
+        gt=0,
+        description="numerical aperture in the object space, in place of entrance_diameter_mm",
+    )
+    image_na: float | None = Field(
+        default=None,
+        gt=0,
+        description="numerical aperture in the image space, in place of entrance_diameter_mm",
+    )
+    stop_radius_mm: float | None = Field(
+        default=None,
+        gt=0,
+        description="of the aperture stop that is full of light, in place of entrance_diameter_mm",
+    )
     pupil_obscuration: float | None = Field(default=None, ge=0, lt=1, description="inner over outer radius")
+    pupil_apodization: Literal["uniform", "gaussian", "cosine_cubed"] | None = Field(
+        default=None, description="of the light's amplitude over the pupil"
+    )
+    apodization_factor: float | None = Field(
+        default=None, ge=0, le=STRONGEST, description="G of the Gaussian exp(-G rho^2)"
+    )
     object_distance_mm: float | None = Field(default=None, description="None is infinity")
-    fields_deg: Pairs = Field(default=None, strict=False, min_length=1)
-    fields_arcmin: Pairs = Field(default=None, strict=False, min_length=1)
+    fields_deg: Pairs = Field(
+        default=None,
+        strict=False,
+        min_length=1,
+        description="field points x, y: angles to the axis in the object space",
+    )
+    fields_arcmin: Pairs = Field(
+        default=None,
+        strict=False,
+        min_length=1,
+        description="field points x, y in the object space, in place of fields_deg",
+    )
     fields_mm: Pairs = Field(default=None, strict=False, min_length=1, description="heights of the object")
-    wavelengths_nm: tuple[float, ...] | None = Field(default=None, strict=False, min_length=1)
+    wavelengths_nm: tuple[float, ...] | None = Field(
+        default=None,
+        strict=False,
+        min_length=1,
+        description="of the light; default: those of the bundled system or file",
+    )
     primary_wavelength: int | None = Field(default=None, ge=1, description="its place in the list, from 1")
     telecentric: bool | None = Field(default=None, description="in the object space")
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out glasses and configuration if there are none: stores go on from before there were any."""
+        """Leave out what there is none of: stores go on from before these keys were any."""
         record: dict[str, Any] = write(self)
-        if self.configuration is None:
-            record.pop("configuration", None)
+        for key in ("configuration", "pupil_apodization", "apodization_factor"):
+            if getattr(self, key) is None:
+                record.pop(key, None)
         if not self.glass:
             record.pop("glass", None)
         return record
@@ -116,6 +153,8 @@ class SystemSection(FileSection):
         fields = [key for key in _FIELDS if getattr(self, key) is not None]
         if len(fields) > 1:
             raise ValueError(f"{' and '.join(fields)} are given; choose one")
+        if (self.pupil_apodization == "gaussian") != (self.apodization_factor is not None):
+            raise ValueError('apodization_factor belongs to pupil_apodization = "gaussian", which needs it')
         if self.wavelengths_nm and min(self.wavelengths_nm) <= 0:
             raise ValueError("wavelengths_nm must be positive")
         if self.surface:
@@ -204,9 +243,13 @@ def _changed(system: OpticalSystem, section: SystemSection) -> OpticalSystem:
     for key, kind in _PUPILS.items():
         value = getattr(section, key)
         if value is not None:
-            pupil = Pupil(kind, value, pupil.obscuration)  # type: ignore[arg-type]
+            pupil = replace(pupil, kind=kind, value=value)  # type: ignore[arg-type]
     if section.pupil_obscuration is not None:
         pupil = replace(pupil, obscuration=section.pupil_obscuration)
+    light = section.pupil_apodization
+    if light is not None:
+        falls = None if light == "uniform" else Apodization(light, section.apodization_factor or 0.0)
+        pupil = replace(pupil, apodization=falls)
     waves, primary = system.wavelengths, system.primary_wavelength
     if section.wavelengths_nm is not None:
         waves, primary = np.array(section.wavelengths_nm) * MM_PER_NM, 0

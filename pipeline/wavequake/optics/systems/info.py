@@ -12,6 +12,7 @@ from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.rays.other_points import other_points
 from wavequake.optics.rays.packing import pack
+from wavequake.optics.rays.pupils import pupil_amplitude
 from wavequake.optics.segments.kinematics import cardan_angles
 from wavequake.optics.shapes.forms.biconic import Biconic
 from wavequake.optics.shapes.forms.toroid import Toroid
@@ -101,6 +102,8 @@ def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]
         ("stop", f"{system.surfaces[system.stop].name}, radius {_length(data.stop_radius)}"),
         ("obscuration", f"{_number(system.pupil.obscuration)} of the pupil's radius"),
     ]
+    if system.pupil.apodization is not None:
+        rows.append(("apodization", _apodization(system)))
     if isfinite(data.lagrange):
         rows.append(("Lagrange invariant", _length(data.lagrange)))
     if not far:
@@ -109,6 +112,16 @@ def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]
             ("NA in object", _aperture(data.object_na, before)),
         ]
     return rows
+
+
+def _apodization(system: OpticalSystem) -> str:
+    """Say how the light falls towards the rim of the pupil."""
+    given = system.pupil.apodization
+    rim = pupil_amplitude(system, np.ones(1), np.zeros(1))
+    light = "uniform here" if rim is None else f"{float(rim[0]) ** 2:.4g} of the central light at the rim"
+    if given is not None and given.kind == "gaussian":
+        return f"Gaussian, factor {_number(given.factor)}: {light}"
+    return f"cosine cubed, of a point source: {light}"
 
 
 def _aperture(paraxial_na: float, real: Array | None) -> str:

@@ -49,12 +49,12 @@ class SurfaceSection(FileSection):
     Shapes that `wavequake.optics.shapes.shape.register` adds have keys of their own beside these.
     """
 
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, description="by which disturbances, bodies and results speak of it")
     distance_mm: float = Field(default=0.0, description="along the light from the previous surface")
     radius_mm: float | None = Field(
         default=None, description="None or inf is a plane; positive if the center lies on +z"
     )
-    conic: float = 0.0
+    conic: float = Field(default=0.0, description="conic constant: 0 a sphere, -1 a paraboloid")
     even_asphere: tuple[float, ...] = Field(
         default=(), strict=False, max_length=16, description="of rho^2, rho^4, ... in mm^-1, mm^-3, ..."
     )
@@ -76,7 +76,12 @@ class SurfaceSection(FileSection):
     normalization_radius_mm: float | None = Field(
         default=None, gt=0, description="of polynomials and Zernike terms; default: the semi-diameter"
     )
-    zernike_obscuration: float = Field(default=0.0, ge=0, lt=1)
+    zernike_obscuration: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="inner over outer radius of annular polynomials; 0: circular ones",
+    )
     deformation_terms: int = Field(
         default=0,
         ge=0,
@@ -114,9 +119,13 @@ class SurfaceSection(FileSection):
     tilt_deg: tuple[Degrees, Degrees, Degrees] = Field(
         default=(0.0, 0.0, 0.0), strict=False, description="Cardan angles about x, y and z"
     )
-    decenter_mm: tuple[float, float] = Field(default=(0.0, 0.0), strict=False)
+    decenter_mm: tuple[float, float] = Field(
+        default=(0.0, 0.0), strict=False, description="shift of the vertex along x and y"
+    )
     fold: bool = Field(default=False, description="the axis goes on as this tilted mirror reflects it")
-    stop: bool = False
+    stop: bool = Field(
+        default=False, description="whether it is the aperture stop; one surface of a system is"
+    )
     phase: PhaseSection | None = Field(default=None, description="a grating, binary optic or perfect lens")
     _own: tuple[type[Shape], FileSection] | None = PrivateAttr(default=None)  # a registered shape, its keys
 

@@ -26,6 +26,7 @@ from wavequake.optics.shapes.shapes import (
     SurfaceAction,
     ZernikeDeformation,
 )
+from wavequake.optics.systems.apodization import Apodization, require_apodization
 from wavequake.words import counted
 
 Array = NDArray[np.float64]
@@ -63,12 +64,13 @@ class Pupil:
 
     "entrance_diameter" (mm), "image_na", "object_na", "f_number" (paraxial image-space), or "stop" (the stop
     surface's opening limits the beam; ``value`` is its radius in mm). ``obscuration`` is the inner radius as
-    a fraction of the outer.
+    a fraction of the outer. Without an ``apodization`` the light is uniform.
     """
 
     kind: Literal["entrance_diameter", "image_na", "object_na", "f_number", "stop"]
     value: float
     obscuration: float = 0.0
+    apodization: Apodization | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -191,6 +193,9 @@ def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> flo
     return float(system.wavelengths[system.primary_wavelength])
 
 
+_ONE = np.eye(3)
+_NEAR_ONE = 1e-9 + 1e-5 * _ONE  # off it are rotations by rounding
+
 # Systems whose fields are known to hold what they should: looking takes as long as a small trace.
 _OF_RIGHT_KIND: WeakValueDictionary[int, OpticalSystem] = WeakValueDictionary()
 
@@ -278,6 +283,12 @@ def _require_pupil(system: OpticalSystem) -> None:
             f"the pupil of {system.name} is obscured to {pupil.obscuration} of its radius; light passes "
             "where that is at least 0 and less than 1"
         )
+    if pupil.apodization is not None:
+        require_apodization(pupil.apodization, system.name)
+        if system.segmented is not None:
+            raise UserError(
+                f"the pupil of {system.name} is apodized, but the images of segments are of uniform light"
+            )
 
 
 def _require_surface(system: str, surface: Surface) -> None:
@@ -299,7 +310,7 @@ def _require_surface(system: str, surface: Surface) -> None:
     turn = surface.rotation
     if (
         turn.shape != (3, 3)
-        or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+        or not (np.abs(turn @ turn.T - _ONE) <= _NEAR_ONE).all()
         or np.linalg.det(turn) < 0
     ):
         raise UserError(f"the rotation of {where} must be a rotation matrix (3, 3)")

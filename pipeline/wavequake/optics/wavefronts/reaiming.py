@@ -28,10 +28,12 @@ from wavequake.optics.wavefronts.wavefront import (
     incoming_light,
     trace_light,
 )
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
 _STEP = 1e-3  # of the differences over the stop, of its radius
+_SIDES = ((1.0, -1.0, 0.0, 0.0), (0.0, 0.0, 1.0, -1.0))  # of points, along x and y
 _NAMES = ("x", "y", "u", "v")
 
 
@@ -54,6 +56,7 @@ class StopSlopes:
     image: Array
 
 
+@prepared(maxsize=4)  # derivatives by motions and by figures need the same
 def stop_slopes(prepared: PreparedSystem) -> StopSlopes:
     """Return the slopes at rest, by central differences of rays aimed beside their points.
 
@@ -63,19 +66,13 @@ def stop_slopes(prepared: PreparedSystem) -> StopSlopes:
     light = moving(system, rest_states(system))
     chief, _ = chief_points(prepared, light)
     about = about_chief(prepared, light, chief)
-    sides = []
-    for axis in (0, 1):
-        ends = []
-        for sign in (1.0, -1.0):
-            points = prepared.pupil.T.copy()
-            points[axis] += sign * _STEP
-            rays = aimed_rays(system, system.fields[prepared.field], prepared.wavelength, *points).rays
-            ends.append(trace_sequence(prepared.sequence, rays, about, NUMPY, ignore_apertures=True))
-        width = 2.0 * _STEP * paraxial(system, prepared.wavelength).stop_radius
-        sides.append(
-            [(getattr(ends[0], one)[0] - getattr(ends[1], one)[0]) / width for one in ("path", *_NAMES)]
-        )
-    slopes = np.nan_to_num(np.array(sides))  # (2, 5, N)
+    points, count = prepared.pupil.T, len(prepared.pupil)
+    beside = (points[:, None] + _STEP * np.array(_SIDES)[..., None]).reshape(2, -1)
+    rays = aimed_rays(system, system.fields[prepared.field], prepared.wavelength, *beside).rays
+    traced = trace_sequence(prepared.sequence, rays, about, NUMPY, ignore_apertures=True)
+    shown = np.stack([getattr(traced, one)[0] for one in ("path", *_NAMES)]).reshape(5, 2, 2, count)
+    width = 2.0 * _STEP * paraxial(system, prepared.wavelength).stop_radius
+    slopes = np.nan_to_num((shown[:, :, 0] - shown[:, :, 1]) / width).swapaxes(0, 1)  # (2, 5, N)
     met = meet_stop(prepared.sequence, prepared.rays, light, system.stop)[:, 0]
     return StopSlopes(met, -slopes[:, 0] / prepared.wavelength, np.moveaxis(slopes[:, 1:], 0, 1))
 

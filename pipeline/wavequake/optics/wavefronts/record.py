@@ -32,8 +32,8 @@ class Wavefront:
     spot_rms : ndarray, shape (T,)
         Weighted rms distance of the rays' image points from their centroid, mm.
     strehl : ndarray, shape (T,)
-        Squared modulus of the mean of exp(2 pi i OPD) about the best-fit plane: the intensity in the
-        plane's direction, relative to that of a perfect wavefront.
+        Squared modulus of the mean of exp(2 pi i OPD) about the best-fit plane, weighted by the amplitude:
+        the intensity in the plane's direction, relative to that of a perfect wavefront.
     lost : ndarray of int, shape (T,)
         Number of lost rays; all numbers above are those of the remaining rays.
     vignetted : ndarray of int, shape (T,)

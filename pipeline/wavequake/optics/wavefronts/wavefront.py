@@ -26,6 +26,7 @@ from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.rays.aiming import losses, pupil_rays
 from wavequake.optics.rays.field_light import field_light
 from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import pupil_amplitude
 from wavequake.optics.rays.stop_following import follow_stop, stays, steering
 from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.systems.image_aperture import image_cosines, image_index, require_flat_image
@@ -50,7 +51,7 @@ Traced = tuple[Array, TracedRays, Array]  # see `trace_light`
 _PLANE = 3  # terms, without which there is no line of sight
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PreparedSystem:
     """What a system, a field, a wavelength and the rays determine once for all instants.
 
@@ -81,6 +82,8 @@ class PreparedSystem:
         Takes the coefficients from image points and directions instead of path lengths.
     sphere : Fit, optional
         Its second and third coefficients are the best-fit sphere's image point times the aperture.
+    amplitude : ndarray, shape (N,), optional
+        Of the rays' light where the pupil is apodized; its square is in the weights of the fit.
     """
 
     system: OpticalSystem
@@ -99,6 +102,7 @@ class PreparedSystem:
     surface: NDArray[np.int8]
     slopes: SystemSlopes | None = None
     sphere: Fit | None = None
+    amplitude: Array | None = None
 
 
 def prepare_system(
@@ -116,7 +120,8 @@ def prepare_system(
     ----------
     system : OpticalSystem
     x, y, weight : ndarray, shape (N,)
-        Where the rays pass the pupil, in units of its outer radius, and the share of the light of each.
+        Where the rays pass the pupil, in units of its outer radius, and the share of the pupil of each. It
+        has that share of the light, times what an apodized pupil has of it there.
     terms : int
         Number of Noll Zernike polynomials: 3, for the line of sight, to 2016.
     field : int
@@ -137,7 +142,17 @@ def prepare_system(
         raise UserError(f"{system.name} has {len(system.fields)} fields; there is no field {field}")
     if whole(terms, "the number of Zernike terms") < _PLANE:
         raise UserError(f"the number of Zernike terms is {terms}; it must be from {_PLANE} to {MOST_TERMS}")
-    fit = pupil_fit(x, y, weight, terms, system.pupil.obscuration)
+    amplitude = pupil_amplitude(system, x, y)
+    light = weight if amplitude is None else weight * amplitude**2
+    try:
+        fit = pupil_fit(x, y, light, terms, system.pupil.obscuration)
+    except UserError as error:
+        if amplitude is None:
+            raise
+        share = float(amplitude.min()) ** 2
+        raise UserError(
+            f"{error} The apodization of {system.name} leaves {share:.2g} of the light at the rim."
+        ) from None
     point = system.fields[field]
     chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
     cosines = image_cosines(system, sequence, point, wavelength)
@@ -162,6 +177,7 @@ def prepare_system(
         steering=steering(system, sequence, chief),
         status=aimed.status,
         surface=aimed.surface,
+        amplitude=amplitude,
     )
 
 
@@ -338,6 +354,10 @@ def analyse_system(
     zernike, plane = fit_with_plane(prepared.fit, opd, device)
     slopes = np.ascontiguousarray(prepared.fit.basis[:, 1:3].T)
     found = ray_moments(opd, traced.x, traced.y, weight, slopes, plane, device)
+    strehl = found.strehl
+    if prepared.amplitude is not None:  # amplitudes add up in the image, not the light of each ray
+        amount = weight / prepared.amplitude
+        strehl = ray_moments(opd, traced.x, traced.y, amount, slopes, plane, device).strehl
     if prepared.slopes is not None:
         zernike = slope_coefficients(prepared.slopes, traced, chief)
     return Wavefront(
@@ -349,7 +369,7 @@ def analyse_system(
         los=line_of_sight(prepared, point, zernike),
         centroid=found.centroid,
         spot_rms=found.spot_rms,
-        strehl=found.strehl,
+        strehl=strehl,
         lost=weight.size - found.arrived,
         vignetted=count_status(traced.status, VIGNETTED) + np.count_nonzero(prepared.status == VIGNETTED),
         device=device,

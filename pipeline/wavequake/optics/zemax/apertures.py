@@ -67,6 +67,8 @@ def with_pupil(system: OpticalSystem, file: LensFile, scale: float) -> OpticalSy
         fail(line, "an object at infinity has no numerical aperture; give the entrance pupil (ENPD)")
     index = refractive_index(system.medium, wavelength_of(system))
     if kind:  # half the cone's angle, degrees
+        if value >= 90.0:
+            fail(line, f"light leaves the object up to {value:g} degrees off the axis; below 90 is traced")
         value = index * math.sin(math.radians(value))
     if not 0.0 < value < index:
         fail(line, f"the numerical aperture {value:g} must be positive and less than the index {index:g}")

@@ -117,7 +117,8 @@ def zmx_text(system: OpticalSystem, catalogue: str = "") -> str:
     require_kind(system, OpticalSystem, "what is written", ", such as load_system('double-gauss') returns")
     require_fields(system, f"the system {system.name}")
     _require_one_line(system.name, "the system")
-    lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
+    lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system)]
+    lines += [*_apodization(system), *_fields(system)]
     lines += [*_catalogues(system, catalogue), "RAIM 0 1 1 1 0 0 0 0 0 1"]  # aimed at the paraxial stop
     lines += [*_environment(system), *_wavelengths(system), *_note(system)]
     infinite = math.isinf(system.object_distance)
@@ -149,6 +150,13 @@ def _pupil(system: OpticalSystem) -> list[str]:
         return ["FLOA"]
     f_number = 0.5 / pupil.value if pupil.kind == "image_na" else pupil.value
     return [f"FNUM {written(f_number)} 1"]
+
+
+def _apodization(system: OpticalSystem) -> list[str]:
+    given = system.pupil.apodization
+    if given is None:
+        return []
+    return [f"GFAC {written(given.factor)} 1" if given.kind == "gaussian" else "GFAC 0.0 2"]
 
 
 def _fields(system: OpticalSystem) -> list[str]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from wavequake.optics.media.environment import Environment
+from wavequake.optics.systems.apodization import STRONGEST, Apodization
 from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail
 
 PUPILS = ("ENPD", "FNUM", "OBNA", "FLOA")
@@ -21,7 +22,6 @@ _HARMLESS = (
     *("FWGN", "FWGT", "WWGN", "WWGT", "WAVN", "TOL", "MOFF", "AUTH", "DBDT", "FCOM"),
 )
 _KNOWN = frozenset((*_USED, *PUPILS, *_VIGNETTING, *_HARMLESS))
-_APODIZATIONS = {1: "Gaussian", 2: "cosine cubed"}
 _COLDEST, _HOTTEST, _DENSEST = -200.0, 500.0, 100.0  # degrees Celsius and atmospheres
 _NAMED = 8
 
@@ -42,8 +42,6 @@ def require_supported(header: Mapping[str, Sequence[Line]]) -> None:
     for line in header.get("MODE", [])[:1]:
         if line.words[:1] != ["SEQ"]:
             fail(line, f"the mode {line.rest!r} is not supported, only SEQ is")
-    for line in header.get("GFAC", []):
-        _require_uniform(line)
 
 
 def environment_of(header: Mapping[str, Sequence[Line]]) -> Environment | None:
@@ -67,13 +65,26 @@ def environment_of(header: Mapping[str, Sequence[Line]]) -> Environment | None:
     return Environment(temperature, pressure)
 
 
-def _require_uniform(line: Line) -> None:
-    """Refuse a beam that is not uniform over the pupil: ``GFAC factor type``."""
-    kind = as_integer(line, 1) if len(line.words) > 1 else 0
-    if kind == 0 or (kind == 1 and not as_number(line, 0)):
-        return
-    name = _APODIZATIONS.get(kind, f"type {kind}")
-    fail(line, f"the apodization of the pupil ({name}) is not supported; choose a uniform one")
+def apodization_of(header: Mapping[str, Sequence[Line]]) -> Apodization | None:
+    """Return how the light falls over the pupil by ``GFAC factor type``; None: it is uniform.
+
+    Raises
+    ------
+    UserError
+        If there is no such type or factor.
+    """
+    line = next(iter(header.get("GFAC", [])), None)
+    kind = as_integer(line, 1) if line is not None and len(line.words) > 1 else 0
+    if line is None or kind == 0:
+        return None
+    if kind == 2:
+        return Apodization("cosine_cubed")
+    if kind != 1:
+        fail(line, f"the apodization of the pupil is of type {kind}; 0 (uniform), 1 (Gaussian), 2 are read")
+    factor = as_number(line, 0)
+    if not 0.0 <= factor <= STRONGEST:
+        fail(line, f"the factor of the Gaussian apodization is {factor:g}; it must be 0 to {STRONGEST:g}")
+    return Apodization("gaussian", factor) if factor else None
 
 
 def left_aside(header: Mapping[str, Sequence[Line]], rows: Sequence[Row]) -> str:

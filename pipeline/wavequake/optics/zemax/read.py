@@ -21,13 +21,14 @@ from wavequake.optics.media.glasses import AIR, Medium
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.shapes.shapes import Conic
+from wavequake.optics.systems.apodization import Apodization
 from wavequake.optics.systems.kinematics import Break, SurfaceRow, sequential
 from wavequake.optics.systems.system import OpticalSystem, Pupil, require_system
 from wavequake.optics.text_file import read_text
 from wavequake.optics.zemax.apertures import beside_stop, with_pupil
 from wavequake.optics.zemax.configurations import count_of, with_configuration, with_solved_image
 from wavequake.optics.zemax.fields import is_afocal, is_telecentric, wavelengths, with_fields
-from wavequake.optics.zemax.header import environment_of, left_aside, require_supported
+from wavequake.optics.zemax.header import apodization_of, environment_of, left_aside, require_supported
 from wavequake.optics.zemax.lens_file import LensFile, Problems, parsed, scale_of
 from wavequake.optics.zemax.media import CRYSTALS, GlassShelf, medium_after, picked_up
 from wavequake.optics.zemax.phases import phase
@@ -87,6 +88,9 @@ def system_of(
     with problems.collected():
         require_supported(file.header)
         shelf = replace(shelf, environment=environment_of(file.header))
+    apodization: Apodization | None = None
+    with problems.collected():
+        apodization = apodization_of(file.header)
     scale = 1.0
     with problems.collected():
         scale = scale_of(file)
@@ -128,6 +132,7 @@ def system_of(
             notes += beside_stop(system, file)
             system = with_fields(system, file, scale)
     problems.require_none(file)
+    system = replace(system, pupil=replace(system.pupil, apodization=apodization))
     system = replace(system, note=" ".join([*_notes(file, configuration), *notes, *shelf.notes]))
     with problems.collected():
         try:

@@ -11,7 +11,6 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
@@ -30,7 +29,8 @@ from wavequake.mechanics.telemetry.columns import ANGLES, LENGTHS, SIGHT, WAVEFR
 from wavequake.mechanics.telemetry.record import Record, read_record
 from wavequake.optics.systems.file import SystemSection, build
 from wavequake.optics.systems.paraxial import paraxial
-from wavequake.report.table import number
+from wavequake.report.figures import stacked
+from wavequake.report.table import empty_table, number
 from wavequake.words import counted
 
 Array = NDArray[np.float64]
@@ -217,14 +217,12 @@ def _compared(series: Array, step: float, record: Record, store: Path) -> tuple[
 
 def agreement_table(found: Agreement) -> Table:
     """Return octaves and the whole, signal by signal."""
-    table = Table(
-        box=SIMPLE_HEAD,
+    table = empty_table(
+        ("signal", "Hz", "model rms", "data rms", "data / model", "verdict"),
+        ("signal", "verdict"),
         caption="data / model: ratio of powers with its 95 % interval. Where both have the same spectra, any "
         "band is said to differ in one of twenty comparisons.",
-        caption_justify="left",
     )
-    for header in ("signal", "Hz", "model rms", "data rms", "data / model", "verdict"):
-        table.add_column(header, justify="left" if header in ("signal", "verdict") else "right")
     for band in (band for band in found.bands if band.scale != "line"):
         one = found.channels[band.signal]
         table.add_row(
@@ -295,8 +293,7 @@ def rows(found: Agreement) -> Iterator[Sequence[object]]:
 def agreement_figure(found: Agreement) -> Figure:
     """Draw both spectra of each signal, and mark the narrow bands that differ."""
     channels = found.channels[:8]
-    figure = Figure(figsize=(1.4 * WIDTH, 0.6 * HEIGHT * len(channels) + 0.6), layout="constrained")
-    panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
+    figure, panels = stacked(len(channels), 1.4 * WIDTH, 0.6 * HEIGHT * len(channels) + 0.6)
     for signal, (one, axes) in enumerate(zip(channels, panels, strict=True)):
         wrong = [b for b in found.bands if b.signal == signal and b.scale == "line" and not b.agrees]
         for band in wrong:

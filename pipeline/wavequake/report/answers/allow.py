@@ -11,14 +11,13 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.schema import Study
 from wavequake.drawing.style import COLORS, HEIGHT, STYLE, WIDTH, svg_text
 from wavequake.drawing.ticks import number_powers
 from wavequake.errors import UserError
-from wavequake.report.table import number
+from wavequake.report.table import empty_table, number
 from wavequake.workflows.allow import Allowances
 from wavequake.workflows.asked_sections import RMS, STATIC, AllowSection
 from wavequake.workflows.limits import in_unit, unit_of
@@ -79,21 +78,17 @@ def goal_of(measure: str, limit: str | float) -> tuple[str, float, float]:
 
 def allow_table(found: Allowances) -> Table:
     """Return the allowances as a table for the terminal: of few elements each, of many those of each axis."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("axis")
     units = _units(found)
     if len(found.elements) <= _FEW:
-        for name in found.elements:
-            table.add_column(name, justify="right")
-        table.add_column("unit")
+        table = empty_table(("axis", *found.elements, "unit"), ("axis", "unit"), pad_edge=False)
         for row, (axis, values) in enumerate(zip(found.axes, found.rms, strict=True)):
             scale, unit = units[row]
             table.add_row(axis, *(_allowed(scale * value) for value in values), f"{unit} rms")
         share = [number(100.0 * one) for one in np.nansum(found.shares, axis=0)]
         table.add_row("share", *share, "%")
         return table
-    for column in (f"least of {len(found.elements)}", "median", "most", "unit", "share"):
-        table.add_column(column, justify="left" if column == "unit" else "right")
+    headers = ("axis", f"least of {len(found.elements)}", "median", "most", "unit", "share")
+    table = empty_table(headers, ("axis", "unit"), pad_edge=False)
     for (scale, unit), axis, values, shares in zip(units, found.axes, found.rms, found.shares, strict=True):
         known = values[~np.isnan(values)]
         numbers = (known.min(), float(np.median(known)), known.max())

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.store.store import BUDGET
 from wavequake.report.answers.budget_tree import tree_explanations, tree_figure, tree_tables
 from wavequake.report.figures import COLORS, STYLE, WIDTH
 from wavequake.report.page import Picture, picture
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 from wavequake.words import are
 from wavequake.workflows.budgets.kept import LOSSES, open_budget, unit_of
 
@@ -51,17 +50,15 @@ def tables(found: "xr.Dataset") -> Iterator[Table]:
 def _table(found: "xr.Dataset", quantity: str) -> Table:
     one, unit = found.sel(quantity=quantity), unit_of(found, quantity)
     of_unit = "" if unit == "1" else f" {unit}"
-    table = Table(
-        box=SIMPLE_HEAD,
+    table = empty_table(
+        ("factor", "contributes\n" + unit, "without it\n" + unit, *_HEADERS),
+        fixed=True,
         pad_edge=False,
         title=f"{_title(quantity)}: {number(float(one['rms']))}{of_unit} rms, at rest "
         f"{number(float(one['rms_rest']))}{of_unit}",
-        title_justify="left",
     )
     names = [len(_words(one.isel(factor=row))) for row in range(one.sizes["factor"])]
-    table.add_column("factor", min_width=min(max(names, default=0), _LONGEST_NAME))
-    for header in ("contributes\n" + unit, "without it\n" + unit, *_HEADERS):
-        table.add_column(header, justify="right", no_wrap=True)
+    table.columns[0].min_width = min(max(names, default=0), _LONGEST_NAME)
     for kind in dict.fromkeys(one["kind"].to_numpy().tolist()):
         rows = np.flatnonzero(one["kind"].to_numpy() == kind)
         if kind != "ring":

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.report.figures import COLORS, STYLE, WIDTH
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 from wavequake.workflows.budgets.kept import unit_of
 
 if TYPE_CHECKING:
@@ -44,16 +43,15 @@ def tree_tables(found: "xr.Dataset", titles: dict[str, str]) -> Iterator[Table]:
         return
     for quantity in allocated(found):
         one, unit = found.sel(quantity=quantity), unit_of(found, quantity)
-        table = Table(
-            box=SIMPLE_HEAD,
+        table = empty_table(
+            ("group", "may be", "is", "margin", "verdict", "branches apart", "correlation"),
+            ("group", "verdict"),
+            fixed=True,
             pad_edge=False,
             title=f"{titles.get(quantity, quantity)}: groups ({unit} rms)",
-            title_justify="left",
         )
         names = [f"{'  ' * deep}{name}" for deep, name in zip(depths(one), _names(one), strict=True)]
-        table.add_column("group", min_width=min(max(map(len, names)), _LONGEST_NAME))
-        for header in ("may be", "is", "margin", "verdict", "branches apart", "correlation"):
-            table.add_column(header, justify="left" if header == "verdict" else "right", no_wrap=True)
+        table.columns[0].min_width = min(max(map(len, names)), _LONGEST_NAME)
         for row, name in enumerate(names):
             table.add_row(name, *_cells(one.isel(branch=row)))
         yield table

@@ -17,7 +17,6 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -26,7 +25,7 @@ from wavequake.campaign.statistics.blocks import few_at_once
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.figures import STYLE, one_panel
-from wavequake.report.table import difference, number
+from wavequake.report.table import difference, empty_table, number
 
 CONFIDENCE = 0.95
 # Coordinates over which measures are averaged, so that two stores must have the same.
@@ -266,16 +265,14 @@ def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Differ
     """Return the differences of all stores from the first as a table for the terminal."""
     if any(one.variants for differences in comparisons for one in differences):
         return _table_of_variants(names, comparisons)
-    table = Table(
-        box=SIMPLE_HEAD,
+    table = empty_table(
+        ("", "measure", "cases", "first", "this", "difference", "relative"),
+        ("", "measure"),
         caption=f"Means over paired cases; difference from {names[0]} with its 95 % confidence interval "
         "(Student; of stratified cases by the scatter between their sets). Measures over time are rms values "
         "per case, the Strehl ratio a mean; images: L2 norm of the difference of unit-energy images."
         + _equal_ones(names, comparisons),
-        caption_justify="left",
     )
-    for header in ("", "measure", "cases", "first", "this", "difference", "relative"):
-        table.add_column(header, justify="left" if header in ("", "measure") else "right")
     for name, differences in zip(names[1:], comparisons, strict=True):
         table.add_row(Text(name, style="bold"))
         for one in differences:
@@ -302,15 +299,13 @@ def _equal_ones(names: Sequence[str], comparisons: Sequence[Sequence[Difference]
 
 def _table_of_variants(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Table:
     """Return how far the reduced models are apart, which no mean over them would say."""
-    table = Table(
-        box=SIMPLE_HEAD,
+    table = empty_table(
+        ("", "measure", "variants", "median", "largest", "of", "there", "here"),
+        ("", "measure", "of"),
         caption=f"Differences of reduced models of one name, from {names[0]}. Measures over time or "
         "frequency are rms values; images: L2 norm of the difference of unit-energy images."
         + _equal_ones(names, comparisons),
-        caption_justify="left",
     )
-    for header in ("", "measure", "variants", "median", "largest", "of", "there", "here"):
-        table.add_column(header, justify="left" if header in ("", "measure", "of") else "right")
     for name, differences in zip(names[1:], comparisons, strict=True):
         table.add_row(Text(name, style="bold"))
         for one in differences:

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.drawing.ticks import number_powers
 from wavequake.report.answers.errors import SAMPLING, open_errors
 from wavequake.report.figures import COLORS, STYLE, WIDTH
 from wavequake.report.page import Page, Picture, picture
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 from wavequake.words import counted
 from wavequake.workflows.refinements import REDUCTION
 
@@ -80,12 +79,10 @@ def number_errors(found: "xr.Dataset", population: int) -> dict[str, NumberError
 
 def errors_table(found: "xr.Dataset") -> Table:
     """Return the errors as a table for the terminal, in percent of the median."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("cases", overflow="fold")
-    table.add_column("measure", overflow="fold")
     origins = [str(name) for name in found["origin"].to_numpy()]
-    for header in ("P50", *(f"{name}\n%" for name in origins), "sampling\nP50, P95 %", "most by"):
-        table.add_column(header, justify="right", no_wrap=True)
+    headers = "P50", *(f"{name}\n%" for name in origins), "sampling\nP50, P95 %", "most by"
+    words = "cases", "measure"
+    table = empty_table((*words, *headers), words, fixed=True, pad_edge=False)
     for place, population in enumerate(found["population"].to_numpy()):
         head = str(population)
         for name, one in number_errors(found, place).items():

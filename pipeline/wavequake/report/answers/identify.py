@@ -7,14 +7,14 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.drawing.style import COLORS, HEIGHT, STYLE, WIDTH, svg_text
 from wavequake.errors import UserError
 from wavequake.mechanics.telemetry.line import NORMAL, Line
 from wavequake.mechanics.telemetry.whittle import oscillator
-from wavequake.report.table import MISSING
+from wavequake.report.figures import stacked
+from wavequake.report.table import MISSING, empty_table
 from wavequake.words import counted
 from wavequake.workflows.identify.identify import Identified
 from wavequake.workflows.identify.study_text import explanation_words
@@ -27,22 +27,15 @@ _PICTURES = (".svg", ".png", ".pdf")
 def lines_table(found: Identified) -> Table:
     """Return a row per line: frequency, damping, rms in each signal, and what moves."""
     channels = found.record.channels
-    table = Table(
-        box=SIMPLE_HEAD,
-        caption="95 % intervals in brackets. rms with signs: equal signs move together."
-        + (f" Of {len(channels)} signals the strongest is shown." if len(channels) > _MOST_COLUMNS else ""),
-        caption_justify="left",
-    )
-    for header in ("Hz", "damping %"):
-        table.add_column(header, justify="right")
     few = len(channels) <= _MOST_COLUMNS
-    for one in channels if few else ():
-        table.add_column(f"{one.element}.{one.axis} ({one.unit})", justify="right", overflow="fold")
-    if not few:
-        table.add_column("rms", justify="right")
-    if channels and len(channels) == 2 and [one.axis for one in channels] == ["x", "y"]:
-        table.add_column("direction °", justify="right")
-    table.add_column("what moves")
+    signals = [f"{one.element}.{one.axis} ({one.unit})" for one in channels] if few else ["rms"]
+    flat = ["direction °"] * ([one.axis for one in channels] == ["x", "y"])
+    table = empty_table(
+        ("Hz", "damping %", *signals, *flat, "what moves"),
+        ("what moves",),
+        caption="95 % intervals in brackets. rms with signs: equal signs move together."
+        + ("" if few else f" Of {len(channels)} signals the strongest is shown."),
+    )
     for number, line in enumerate(found.lines):
         ends = line.interval
         cells = [
@@ -55,7 +48,7 @@ def lines_table(found: Identified) -> Table:
         else:
             best = int(np.argmax(np.abs(line.rms) / np.maximum(line.deviations[2:], 1e-300)))
             cells.append(f"{channels[best].name} {shown[best]}")
-        if len(table.columns) == len(cells) + 2:
+        if flat:
             angle, error = direction(line)
             cells.append(_ends(angle, angle - NORMAL * error, angle + NORMAL * error, digits=4))
         table.add_row(*cells, explanation_words(found, number))
@@ -90,11 +83,8 @@ def modes_table(found: Identified) -> Table | None:
     """Return a row per mode of the structure that is a line, or None."""
     if not found.modes:
         return None
-    table = Table(
-        box=SIMPLE_HEAD, caption="Modes of the study's structure that are lines.", caption_justify="left"
-    )
-    for header in ("mode", "model Hz", "measured Hz", "model damping %", "measured %", "shapes alike"):
-        table.add_column(header, justify="right")
+    headers = ("mode", "model Hz", "measured Hz", "model damping %", "measured %", "shapes alike")
+    table = empty_table(headers, (), caption="Modes of the study's structure that are lines.")
     for one in found.modes:
         table.add_row(
             str(one.number),
@@ -136,8 +126,7 @@ def _some(names: list[str] | tuple[str, ...], most: int = 8) -> str:
 def spectra_figure(found: Identified, title: str = "") -> Figure:
     """Draw the spectra of the signals with their 95 % intervals, and those of lines and rest."""
     channels = found.record.channels[:_MOST_PANELS]
-    figure = Figure(figsize=(1.4 * WIDTH, 0.6 * HEIGHT * len(channels) + 0.6), layout="constrained")
-    panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
+    figure, panels = stacked(len(channels), 1.4 * WIDTH, 0.6 * HEIGHT * len(channels) + 0.6)
     low, high = found.spectra.interval()
     frequency = found.spectra.frequency
     model = _model(found)

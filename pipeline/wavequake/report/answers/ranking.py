@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -15,7 +14,7 @@ from wavequake.campaign.statistics.judged import judged_in, populations_of, titl
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.answers.tail import per_case
-from wavequake.report.table import number
+from wavequake.report.table import empty_table, number
 from wavequake.workflows.kinds import compared_labels
 
 SMALL_COSTS = ("peak", "strehl", "marechal", "rayleigh", "mtf50", "snr")
@@ -86,10 +85,8 @@ def _far(values: NDArray[np.float64], below: bool) -> float:
 
 def ranking_table(ranking: Ranking) -> Table:
     """Return the ranking as a table for the terminal."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{ranking.variable} ({ranking.unit})")
-    table.add_column("disturbance")
-    for head in ("cases", "P50", "P5" if ranking.below else "P95", "worst"):
-        table.add_column(head, justify="right")
+    headers = ("disturbance", "cases", "P50", "P5" if ranking.below else "P95", "worst")
+    table = empty_table(headers, pad_edge=False, title=f"{ranking.variable} ({ranking.unit})")
     for one in ranking.found:
         numbers = map(number, (one.median, one.far, one.worst))
         table.add_row(Text(one.name), str(one.cases), *numbers)

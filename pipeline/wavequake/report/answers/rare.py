@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
@@ -17,7 +16,7 @@ from wavequake.campaign.statistics.quantiles import Quantile
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.answers.tail import per_case
-from wavequake.report.table import number
+from wavequake.report.table import empty_table, number
 from wavequake.words import counted
 from wavequake.workflows.limits import in_unit, unit_of
 from wavequake.workflows.rare import modal_answer, rare_folder, rare_study
@@ -137,10 +136,9 @@ def _limit(cases: RareCases, chance: float) -> float:
 
 def rare_table(answer: RareAnswer) -> Table:
     """Return the answer as a table for the terminal."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(f"{answer.name}: {answer.measure} above\n{number(answer.limit, 4)} {answer.unit}")
-    table.add_column("probability\n(95 % interval)", justify="right", no_wrap=True)
-    table.add_column("from")
+    asked = f"{answer.name}: {answer.measure} above\n{number(answer.limit, 4)} {answer.unit}"
+    headers = (asked, "probability\n(95 % interval)", "from")
+    table = empty_table(headers, (asked, "from"), fixed=True, pad_edge=False)
     found = answer.correction
     table.add_row(
         "modal model, exact",

@@ -4,13 +4,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.store.whole import Arrays
 from wavequake.optics.derivatives.central import DOFS
 from wavequake.optics.polynomials.zernike import noll_to_nm
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 
 Array = NDArray[np.float64]
 
@@ -80,11 +79,9 @@ def _table_by_element(
 
     `words` are the header of both and the units of the others.
     """
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left")
-    table.add_column(words[0])
-    for axis in "xy":
-        table.add_column(f"LOS {axis}\n{words[1]}", justify="right", no_wrap=True)
-    table.add_column(f"largest Zernike terms from j = 4 on\n{words[2]}")
+    largest = f"largest Zernike terms from j = 4 on\n{words[2]}"
+    headers = (words[0], *(f"LOS {axis}\n{words[1]}" for axis in "xy"), largest)
+    table = empty_table(headers, (words[0], largest), fixed=True, pad_edge=False, title=title)
     for name, los, zernike in zip(rows[0], *values, strict=True):
         for place, motion in enumerate(rows[1]):
             label = f"{' ' * len(str(name))}  {motion}" if place else f"[bold]{name}[/]  {motion}"
@@ -120,16 +117,13 @@ def segment_table(found: Arrays) -> Table:
     """Return the table of M1's segments, one row per motion; zeros are below 1e-6 of the largest."""
     count = len(found["segment"].values)
     what = "one piece" if count == 1 else f"{count} segments (min / median / max)"
-    table = Table(
-        box=SIMPLE_HEAD,
+    waves = [f"WFE rms{of}\nnm per nm or nrad" for of in (", j ≥ 4", " on glass")]
+    table = empty_table(
+        ("motion", "LOS\nmm per mm or rad", *waves),
+        fixed=True,
         pad_edge=False,
         title=f"M1, {what}: motion about the center, dz to the sky",
-        title_justify="left",
     )
-    table.add_column("motion")
-    table.add_column("LOS\nmm per mm or rad", justify="right", no_wrap=True)
-    table.add_column("WFE rms, j ≥ 4\nnm per nm or nrad", justify="right", no_wrap=True)
-    table.add_column("WFE rms on glass\nnm per nm or nrad", justify="right", no_wrap=True)
     los = np.hypot(*np.moveaxis(found["sensitivity_los_segment"].values * _PER_MILLIMETER[:, None], -1, 0))
     fitted = np.sqrt(np.sum(found["sensitivity_zernike_segment"].values[..., 3:] ** 2, axis=-1)) * 1e-9
     raw = found["sensitivity_wfe_rms_raw_segment"].values * 1e-9

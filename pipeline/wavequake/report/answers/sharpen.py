@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
@@ -18,9 +17,9 @@ from wavequake.errors import UserError
 from wavequake.prepared import one_thread
 from wavequake.report.answers.tail import per_case
 from wavequake.report.at_hand import device_at_hand
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 from wavequake.workflows.kinds import find_kind
-from wavequake.workflows.segments.control import MEASURES, modal_numbers
+from wavequake.workflows.segments.control import MEASURES, modal_numbers, modal_partner
 
 Progress = Callable[[int, int, int], None]
 
@@ -67,6 +66,21 @@ def sharpen(store: Path | str, cases: int = 20_000, progress: Progress | None = 
         raise UserError(
             f"{store} has {manifest.cases} cases; the modal model sharpens them by more: give --cases beyond."
         )
+    partner = modal_partner(study)
+    sources = kind.case_table(manifest.study, 0, cases)["disturbance"]
+    done = np.zeros(cases, dtype=np.bool_)
+    done[: manifest.cases] = dataset["status"].to_numpy() == DONE
+    traced = []
+    for name in MEASURES:
+        costly = np.full(cases, np.nan)
+        (costly[: manifest.cases],) = per_case(dataset, judged_in(name, dataset), "rms").values()
+        for source in dict.fromkeys(sources.tolist()):
+            paired = (sources == source) & done & np.isfinite(costly)
+            if paired.sum() < FEWEST:  # before the many cases are computed
+                raise UserError(
+                    f"{source!r} has {paired.sum()} traced cases in {store}; take at least {FEWEST}."
+                )
+            traced.append((name, source, costly, paired))
     device = device_at_hand(manifest)
     parts = []
     for first in range(0, cases, _AT_ONCE):
@@ -74,28 +88,16 @@ def sharpen(store: Path | str, cases: int = 20_000, progress: Progress | None = 
             progress(first, cases, 0)
         ids = np.arange(first, min(first + _AT_ONCE, cases))
         with one_thread():
-            parts.append(modal_numbers(study, ids, device))
+            parts.append(modal_numbers(partner, ids, device))
     cheap = {name: np.concatenate([part[name] for part in parts]) for name in MEASURES}
-    sources = kind.case_table(manifest.study, 0, cases)["disturbance"]
-    done = np.zeros(cases, dtype=np.bool_)
-    done[: manifest.cases] = dataset["status"].to_numpy() == DONE
     rows = []
-    for name in MEASURES:
-        judged = judged_in(name, dataset)
-        costly = np.full(cases, np.nan)
-        (costly[: manifest.cases],) = per_case(dataset, judged, "rms").values()
+    for name, source, costly, paired in traced:
+        more = (sources == source) & (np.arange(cases) >= manifest.cases)
+        given = (costly[paired], cheap[name][paired], cheap[name][more])
+        found = {"mean": sharpened_mean(*given)}
+        found |= {label: sharpened_quantile(*given, p) for label, p in LEVELS.items()}
         unit = str(dataset[name].attrs.get("units", ""))
-        for source in dict.fromkeys(sources.tolist()):
-            paired = (sources == source) & done & np.isfinite(costly)
-            more = (sources == source) & (np.arange(cases) >= manifest.cases)
-            if paired.sum() < FEWEST:
-                raise UserError(
-                    f"{source!r} has {paired.sum()} traced cases in {store}; take at least {FEWEST}."
-                )
-            given = (costly[paired], cheap[name][paired], cheap[name][more])
-            found = {"mean": sharpened_mean(*given)}
-            found |= {label: sharpened_quantile(*given, p) for label, p in LEVELS.items()}
-            rows.append(SharpRow(source, name, unit, int(paired.sum()), int(more.sum()), found))
+        rows.append(SharpRow(source, name, unit, int(paired.sum()), int(more.sum()), found))
     if progress:
         progress(cases, cases, 0)
     return rows
@@ -103,11 +105,8 @@ def sharpen(store: Path | str, cases: int = 20_000, progress: Progress | None = 
 
 def sharpen_table(rows: list[SharpRow]) -> Table:
     """Return the numbers as a table for the terminal."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("disturbance", overflow="fold")
-    table.add_column("number", no_wrap=True)
-    for header in ("traces alone", "with the modal model", "worth\n(traces)"):
-        table.add_column(header, justify="right", no_wrap=True)
+    words, numbers = ("disturbance", "number"), ("traces alone", "with the modal model", "worth\n(traces)")
+    table = empty_table((*words, *numbers), words, fixed=True, pad_edge=False)
     head = ""
     for row in sorted(rows, key=lambda one: [other.disturbance for other in rows].index(one.disturbance)):
         for label, one in row.found.items():

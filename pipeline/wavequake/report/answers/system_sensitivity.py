@@ -4,12 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.store.whole import Arrays
 from wavequake.report.answers.sensitivity import conclusion, zernike_name
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 
 Array = NDArray[np.float64]
 
@@ -34,18 +33,15 @@ def _table(found: Arrays, name: str) -> Table:
     fields, labels = ([str(one) for one in found[key].values] for key in ("field", column))
     turning = name != "deformation"
     units = (" or rad", "µm or µrad") if turning else ("", "nm")
-    table = Table(
-        box=SIMPLE_HEAD,
+    words = f"{element}\n{'motion' if turning else 'figure'}", f"largest term\n{fields[-1]}"
+    sights, errors = [f"LOS {axis}\n{fields[0]}" for axis in "xy"], [f"WFE\n{field}" for field in fields]
+    table = empty_table(
+        (words[0], *sights, *errors, words[1]),
+        words,
+        fixed=True,
         pad_edge=False,
         title=f"{_TITLES[name]}\nLOS in mm per mm{units[0]}; WFE rms, j ≥ 4, in nm per {units[1]}",
-        title_justify="left",
     )
-    table.add_column(f"{element}\n{'motion' if turning else 'figure'}", no_wrap=True)
-    for axis in "xy":
-        table.add_column(f"LOS {axis}\n{fields[0]}", justify="right", no_wrap=True)
-    for field in fields:
-        table.add_column(f"WFE\n{field}", justify="right", no_wrap=True)
-    table.add_column(f"largest term\n{fields[-1]}", no_wrap=True)
     turns = np.array([label.startswith("r") for label in labels])
     los = _zeroed(found[f"sensitivity_los_{name}"].values * np.where(turns, 1.0, 1e-3)[:, None], turns)
     waves = _zeroed(zernike.values[..., 3:] * (1e-6 if turning else 1e-9), turns)

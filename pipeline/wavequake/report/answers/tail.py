@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -18,7 +17,7 @@ from wavequake.campaign.statistics.quantiles import Quantile
 from wavequake.campaign.statistics.tail import Tail, exceedance, fit_tail, fits, rare_value, steadiness
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 from wavequake.workflows.kinds import compared_labels
 
 Array = NDArray[np.float64]
@@ -172,12 +171,8 @@ def rare_table(answer: RareAnswer, question: RareQuestion) -> Table:
     unit = answer.unit
     side = "below" if question.below else "above"
     sign = -1.0 if question.below else 1.0
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("disturbance")
-    table.add_column("cases", justify="right")
-    table.add_column(f"threshold\n({unit})", justify="right")
-    table.add_column(f"cases\n{side} it", justify="right")
-    table.add_column("shape", justify="right")
+    headers = ("disturbance", "cases", f"threshold\n({unit})", f"cases\n{side} it", "shape")
+    table = empty_table(headers, pad_edge=False)
     wanted = Text(f"{answer.variable} ({unit}),\n{side} it: {question.probability:g}")
     table.add_column(wanted, justify="right", no_wrap=True)
     if question.limit is not None:

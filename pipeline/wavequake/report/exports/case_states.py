@@ -8,6 +8,7 @@ import numpy as np
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.store.store import Manifest, read_manifest
+from wavequake.chain.sampling import slots
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.mechanics.vibration.modal import modal_model
@@ -30,7 +31,7 @@ from wavequake.workflows.mirrors.study import TraceStudy
 from wavequake.workflows.segments import mor, mor_bench
 from wavequake.workflows.segments.bench import bench_of as segment_bench
 from wavequake.workflows.segments.disturbance import draw as draw_segments
-from wavequake.workflows.segments.launches import slots, surface_states
+from wavequake.workflows.segments.launches import surface_states
 from wavequake.workflows.systems.bench import system_bench, system_states
 from wavequake.workflows.systems.draws import draw
 
@@ -115,7 +116,7 @@ def _of_mirror(text: str, case: int, under: str) -> tuple[OpticalSystem, States]
     bench = mirrors.bench_of(text, model)
     reduced, optics = mirrors.variant_of(bench, variant), bench.optics
     held, drive = driven(reduced, mirrors.drive_at(excitation, reduced, study), excitation.name)
-    response = respond(modal_model(held, drive.prescribed), [drive], mirrors.time_of(study))
+    response = respond(modal_model(held, drive.prescribed), [drive], study.time.seconds)
     coordinates = coordinates_of(response)
     motion, left = motion_fit(optics.surface, displacements_mm(reduced.surface.T)), left_by(optics, reduced)
     numbers, system = figures(motion, coordinates), optics.prepared.system

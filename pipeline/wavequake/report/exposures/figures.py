@@ -8,9 +8,10 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel, stacked
 
 Array = NDArray[np.float64]
 
@@ -37,7 +38,9 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
     square = (WIDTH - 1.6) / columns  # inches, beside numbers and scale
-    figure = Figure(figsize=(WIDTH, min(HEIGHT, square) * rows + 0.3 * rows + 0.4), layout="compressed")
+    figure = Figure(
+        figsize=(WIDTH, min(HEIGHT, square) * rows + 0.3 * rows + 0.4), layout=_Twice(compress=True)
+    )
     grid = figure.subplots(rows, columns, squeeze=False)
     places = grid.ravel()
     top = max(float(panel.image.max()) for panel in panels)
@@ -62,15 +65,22 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     if picture is not None:
         scale = figure.colorbar(picture, ax=list(places), shrink=1.0 if rows == 1 else 0.8)
         scale.set_label("irradiance; 1 = perfect peak", fontsize=8)
-    figure.draw_without_rendering()  # numbers of axes of this size may need more room, which is made next
     return figure
+
+
+class _Twice(ConstrainedLayoutEngine):
+    """Numbers of axes of the size that they are given first may need more room, which is made next."""
+
+    def execute(self, fig: Figure) -> None:
+        for _ in range(2):
+            super().execute(fig)
 
 
 @rc_context(STYLE)
 def line_of_sight(time_ms: Array, tracks: Mapping[str, Array], unit: str) -> Figure:
     """Draw x and y of lines of sight (instants, 2) over time (Fig. 4.43)."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    for place, axes in enumerate(figure.subplots(2, sharex=True)):
+    figure, panels = stacked()
+    for place, axes in enumerate(panels):
         for number, (name, track) in enumerate(tracks.items()):
             axes.plot(time_ms, track[:, place], label=name, **curve_style(number))
         axes.set_ylabel(f"line of sight {'xy'[place]} ({unit})")

@@ -14,7 +14,7 @@ from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
 from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels, polygons
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out
 from wavequake.report.table import number, radius, table_of_rows
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
@@ -53,9 +53,9 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table_of_rows(_rows(dataset), caption, 2)
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
-    page = Page(
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
+    return Page(
         answer=answer(dataset),
         table=_rows(dataset),
         small_print=_SMALL_PRINT + what_is_kept(dataset),
@@ -68,7 +68,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="disturbance",
         left_out=left_out(dataset),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def answer(dataset: xr.Dataset) -> str:

@@ -29,6 +29,7 @@ _LABELS = {
     "identified": "modal, identified",
 }
 _SHORT = (0.0, 3.0)
+_POSITION = "position (mm)"
 _MOST_PLANTS = 1000  # whose points a figure shows
 
 
@@ -142,75 +143,54 @@ def _lines(
     axes.legend(loc="upper right", ncols=min(3, len(histories)))
 
 
-def _image_axis(axes: Axes, case: Shown) -> None:
-    axes.set_ylabel("image displacement (mm)")
-    axes.set_title(f"case {case.case}")
-
-
 @rc_context(STYLE)
-def model(case: Shown, nominal: Nominal) -> Figure:
-    """Compare the nominal bench with a plant, uncontrolled (Fig. 5.5)."""
+def _histories(
+    case: Shown,
+    histories: Mapping[str, Array],
+    span: tuple[float, float] = _SHORT,
+    label: str = "image displacement (mm)",
+) -> Figure:
     figure, axes = _figure()
-    _lines(axes, case.time, {"plant": case.image["uncontrolled"], "nominal model": nominal.free})
-    _image_axis(axes, case)
+    _lines(axes, case.time, histories, span)
+    axes.set_ylabel(label)
+    axes.set_title(f"case {case.case}")
     return figure
 
 
-def _filter(case: Shown, nominal: Nominal, span: tuple[float, float]) -> Figure:
-    figure, axes = _figure()
+def model(case: Shown, nominal: Nominal) -> Figure:
+    """Compare the nominal bench with a plant, uncontrolled (Fig. 5.5)."""
+    return _histories(case, {"plant": case.image["uncontrolled"], "nominal model": nominal.free})
+
+
+def filtered(case: Shown, nominal: Nominal, start: float = 0.0) -> Figure:
+    """Compare the Kalman filter's image motion with the plant's within 1.5 s (Figs. 5.28, 5.29)."""
     histories = {
         "plant": case.image["uncontrolled"],
         "KF with force": nominal.with_force,
         "KF without": nominal.without_force,
         "model alone": nominal.free,
     }
-    _lines(axes, case.time, histories, span)
-    _image_axis(axes, case)
-    return figure
+    return _histories(case, histories, (start, start + 1.5))
 
 
-@rc_context(STYLE)
-def filter_start(case: Shown, nominal: Nominal) -> Figure:
-    """Compare the Kalman filter's image motion with the plant's after the blow (Fig. 5.28)."""
-    return _filter(case, nominal, (0.0, 1.5))
-
-
-@rc_context(STYLE)
-def filter_end(case: Shown, nominal: Nominal) -> Figure:
-    """Do so at the end of the run (Fig. 5.29)."""
-    last = float(case.time[-1])
-    return _filter(case, nominal, (last - 1.5, last))
-
-
-@rc_context(STYLE)
 def targets(case: Shown, nominal: Nominal) -> Figure:
     """Show the stage's target, its motion if commanded directly, and that under FF+FI (Fig. 5.30)."""
-    figure, axes = _figure()
     histories = {
         "target": nominal.target,
         "target commanded": nominal.direct,
         "command FF+FI": case.command["FF+FI"],
         "stage FF+FI": case.stage["FF+FI"],
     }
-    _lines(axes, case.time, histories, (0.0, 0.6))
-    axes.set_ylabel("position (mm)")
-    axes.set_title(f"case {case.case}")
-    return figure
+    return _histories(case, histories, (0.0, 0.6), _POSITION)
 
 
-@rc_context(STYLE)
 def remaining(case: Shown, controllers: Sequence[str]) -> Figure:
     """Show what controllers leave of the image's displacement (Figs. 5.31, 5.32, 5.38)."""
-    figure, axes = _figure()
-    _lines(axes, case.time, {_LABELS.get(name, name): case.image[name] for name in controllers})
-    _image_axis(axes, case)
-    return figure
+    return _histories(case, {_LABELS.get(name, name): case.image[name] for name in controllers})
 
 
-@rc_context(STYLE)
 def stage_history(case: Shown, nominal: Nominal, controller: str) -> Figure:
     """Show command and position of the stage within a short time (Figs. 5.34, 5.35)."""
-    figure, axes = _figure()
     start = min(3.0, float(case.time[-1]) - 0.5)
     histories = {
         "target": nominal.target,
@@ -218,10 +198,7 @@ def stage_history(case: Shown, nominal: Nominal, controller: str) -> Figure:
         "stage": case.stage[controller],
         "stage, simulated": nominal.stage[controller],
     }
-    _lines(axes, case.time, histories, (start, start + 0.5))
-    axes.set_ylabel("position (mm)")
-    axes.set_title(f"case {case.case}")
-    return figure
+    return _histories(case, histories, (start, start + 0.5), _POSITION)
 
 
 @rc_context(STYLE)
@@ -232,7 +209,7 @@ def sensor(case: Shown) -> Figure:
     upper = figure.add_axes((0.13, 0.57, 0.85, 0.38), sharex=lower)
     _lines(upper, case.time, {"lens 4": case.lens, "as read": case.sensor}, (0.0, 2.0))
     upper.set_xlabel("")
-    upper.set_ylabel("position (mm)")
+    upper.set_ylabel(_POSITION)
     kept = case.time <= 2.0
     lower.plot(case.time[kept], 1e3 * (case.sensor - case.lens)[kept], color=COLORS[0], linewidth=0.6)
     lower.set_ylabel("error (µm)")
@@ -318,7 +295,7 @@ def step(record: StepRecord) -> Figure:
         "identified": found,
     }
     _lines(axes, record.time, histories, (0.01, 0.08))
-    axes.set_ylabel("position (mm)")
+    axes.set_ylabel(_POSITION)
     axes.set_title(
         f"fit {100 * record.identified.fit:.2f} % of the variance, gain {record.identified.stage.gain:.3f}"
     )
@@ -343,18 +320,12 @@ def pole_zero_map(stage: Stage, record: StepRecord) -> Figure:
     return figure
 
 
-@rc_context(STYLE)
 def following(case: Shown, record: StepRecord) -> Figure:
     """Show the stage during a blow beside the simulation with the identified stage (Fig. 5.12)."""
-    figure, axes = _figure()
-    interval = float(case.time[1] - case.time[0])
-    model = zero_order_hold(stage_model(record.identified.stage), interval)
+    model = zero_order_hold(stage_model(record.identified.stage), float(case.time[1] - case.time[0]))
     histories = {
         "command": case.command["FF"],
         "stage": case.stage["FF"],
         "simulated": simulate(model, case.command["FF"])[:, 0],
     }
-    _lines(axes, case.time, histories, (0.0, 0.4))
-    axes.set_ylabel("position (mm)")
-    axes.set_title(f"case {case.case}")
-    return figure
+    return _histories(case, histories, (0.0, 0.4), _POSITION)

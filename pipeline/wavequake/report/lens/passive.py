@@ -6,16 +6,15 @@ import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.control.bench import LENSES, Bench, bench_modes, fitted_bench
 from wavequake.control.passive import modal_amplitudes
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
-from wavequake.report.page import Page, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Section, picture
 from wavequake.report.populations import left_out
-from wavequake.report.table import number
+from wavequake.report.table import empty_table, number
 from wavequake.workflows.lens.passive import PARAMETERS
 
 _NAMES = {
@@ -51,10 +50,7 @@ def answer(dataset: xr.Dataset) -> str:
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    table = Table(box=SIMPLE_HEAD, caption=answer(dataset), caption_justify="left")
-    table.add_column("lens", justify="right")
-    for name in _NAMES.values():
-        table.add_column(name, justify="right")
+    table = empty_table(("lens", *_NAMES.values()), (), caption=answer(dataset))
     for row in _rows(dataset):
         table.add_row(*(f"{value} ({small})" if small else value for value, small in row.values()))
     return table
@@ -77,8 +73,8 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
     ]
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     best = best_of(dataset)
     pictures = []
     if best is not None:
@@ -91,7 +87,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
                 "Each bar is what one mode does to the image: the optimum lowers the sum, not each of them.",
             )
         ]
-    page = Page(
+    return Page(
         answer=answer(dataset),
         table=_rows(dataset),
         small_print=_SMALL_PRINT,
@@ -101,7 +97,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="start",
         left_out=left_out(dataset, "realization", most=1000),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 @rc_context(STYLE)

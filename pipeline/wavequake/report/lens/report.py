@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -18,9 +17,9 @@ from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.lens import figures as draw
 from wavequake.report.lens.firmware import Firmware, firmware_of, left_beside, off_exact
 from wavequake.report.lens.over_frequency import over_frequency
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 from wavequake.words import counted
 from wavequake.workflows.lens.bench import bench_of, stage_of, study_of
 
@@ -138,9 +137,7 @@ def configurations(dataset: xr.Dataset) -> list[Configuration]:
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     found = configurations(dataset)
-    table = Table(box=SIMPLE_HEAD, caption=answer(found), caption_justify="left")
-    for header in _HEADERS:
-        table.add_column(header, justify="left" if header == _HEADERS[0] else "right")
+    table = empty_table(_HEADERS, caption=answer(found))
     for one in found:
         table.add_row(Text(f"{one.springs} springs, {counted(len(one.rows), 'plant')}", style="bold"))
         for place in range(len(one.controllers)):
@@ -220,10 +217,10 @@ def _best_of_study(one: Configuration) -> str:
     return f"Of the study's own loops {name} leaves least, {number(span, 2)} % and {number(late, 2)} %."
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     found = configurations(dataset)
-    page = Page(
+    return Page(
         answer=answer(found),
         table=[
             {"springs": (one.springs, counted(len(one.rows), "plant")), **_row(one, place)}
@@ -256,7 +253,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="configuration",
         left_out=left_out(dataset, "springs"),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _without_histories(dataset: xr.Dataset) -> str:
@@ -277,8 +273,8 @@ def _figures(dataset: xr.Dataset, one: Configuration) -> Iterator[Picture]:
     nominal = draw.nominal_of(bench_of(study, springs), stage_of(study), case)
     for key, text, figure in (
         ("model", "Simulated and actual image motion, uncontrolled", draw.model(case, nominal)),
-        ("filter", "Image motion that the Kalman filter estimates", draw.filter_start(case, nominal)),
-        ("filter-late", "The same at the end of the run", draw.filter_end(case, nominal)),
+        ("filter", "Image motion that the Kalman filter estimates", draw.filtered(case, nominal)),
+        ("filter-late", "The same at the end of the run", draw.filtered(case, nominal, case.time[-1] - 1.5)),
         ("target", "Commanded and expected motion of the stage", draw.targets(case, nominal)),
         ("remaining-both", "Remaining error of FF+FI", draw.remaining(case, ("uncontrolled", "FF+FI"))),
         ("remaining", "Remaining error of FF and FI", draw.remaining(case, ("uncontrolled", "FF", "FI"))),

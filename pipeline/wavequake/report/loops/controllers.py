@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -16,9 +15,9 @@ from wavequake.report.loops.frequency import Curve
 from wavequake.report.loops.outcomes import Level, Outcome, answer, certificate, levels_of, spilled
 from wavequake.report.loops.over_frequency import locus, loops_over_frequency, noise_picture
 from wavequake.report.loops.spectra import of_density, spectra
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 
 _DEFINITIONS = (
     ("error", "‖G - G_rom‖ / ‖G‖ of the transfer matrix from forces to sensors: median in the band."),
@@ -39,20 +38,9 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     levels = levels_of(dataset)
     words = f"{answer(levels)} {certificate(levels)}"
-    table = Table(
-        box=SIMPLE_HEAD, caption=words, caption_justify="left", padding=(0, 1, 0, 0), pad_edge=False
-    )
-    for header in (
-        "variant",
-        "error\n(%)",
-        "Δω/ζ",
-        "grows at\n(1/s, Hz)",
-        "S\npeak",
-        "gain",
-        "phase\n(deg)",
-        "WFE\n(nm)",
-    ):
-        table.add_column(header, justify="left" if header == "variant" else "right", no_wrap=True)
+    model = "variant", "error\n(%)", "Δω/ζ", "grows at\n(1/s, Hz)"
+    headers = (*model, "S\npeak", "gain", "phase\n(deg)", "WFE\n(nm)")
+    table = empty_table(headers, fixed=True, caption=words, padding=(0, 1, 0, 0), pad_edge=False)
     for level in levels:
         table.add_row(Text(f"effort {level.effort:g}", style="bold"))
         for one in level.outcomes:
@@ -70,11 +58,11 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     dataset = dataset.load()
     levels = levels_of(dataset)
-    page = Page(
+    return Page(
         answer=answer(levels),
         table=[row_of(level, one) for level in levels for one in level.outcomes],
         small_print=f"{_SMALL_PRINT} {certificate(levels)}",
@@ -97,7 +85,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="variant",
         left_out=left_out(dataset, ["variant", "effort"], most=1000),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def row_of(level: Level, one: Outcome) -> dict[str, tuple[str, str]]:

@@ -6,27 +6,15 @@ import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from wavequake.drawing.ticks import power_of_ten
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
+from wavequake.drawing.ticks import label_powers
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, one_panel, stacked
 from wavequake.report.loops.outcomes import Level
 
 _STABLE, _UNSTABLE, _GROUND = COLORS[0], COLORS[1], "#999999"
 _MODES = 14
 _POINTS, _LETTER, _LINE = 72.0, 4.1, 8.5  # per inch; of the names' letters
-
-
-def _panels(rows: int, height: float = HEIGHT) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    return figure, list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
-
-
-def _powers(axis: Axis) -> None:
-    axis.set_major_formatter(FuncFormatter(power_of_ten))
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _names(axes: Axes, points: Sequence[tuple[str, float, float]]) -> None:
@@ -48,7 +36,7 @@ def _names(axes: Axes, points: Sequence[tuple[str, float, float]]) -> None:
 @rc_context(STYLE)
 def error_and_outcome(level: Level) -> Figure:
     """Draw wavefront over open-loop error; unstable loops stand on a line of their own at the top."""
-    figure, (axes,) = _panels(1)
+    figure, axes = one_panel()
     stable = [one for one in level.outcomes if one.stable]
     worst = max((one["wavefront"] for one in stable), default=1.0)
     least = min((one["wavefront"] for one in stable), default=0.9)
@@ -61,7 +49,7 @@ def error_and_outcome(level: Level) -> Figure:
         points.append((one.variant, x, y))
     axes.axhline(top, color=_UNSTABLE, linewidth=0.7, linestyle=(0, (5, 2)))
     axes.set_xscale("log")
-    _powers(axes.xaxis)
+    label_powers(axes.xaxis)
     axes.set_xlabel("error of the open-loop transfer function in the band, median")
     axes.set_ylabel("wavefront in the loop (nm rms)")
     axes.set_title(f"effort {level.effort:g}: ● stable, ✖ unstable")
@@ -72,7 +60,7 @@ def error_and_outcome(level: Level) -> Figure:
 @rc_context(STYLE)
 def margins_over_order(level: Level, peak: float) -> Figure:
     """Draw sensitivity peak, gain and phase margin over order."""
-    figure, panels = _panels(3, 1.35 * HEIGHT)
+    figure, panels = stacked(3, height=1.35 * HEIGHT)
     stable = [one for one in level.outcomes if one.stable]
     orders = [one.order for one in stable]
     for axes, name, label in zip(
@@ -98,7 +86,7 @@ def margins_over_order(level: Level, peak: float) -> Figure:
 @rc_context(STYLE)
 def poles(dataset: xr.Dataset, level: Level) -> Figure:
     """Draw the least damped poles of all loops: real part over frequency, those that grow marked."""
-    figure, (axes,) = _panels(1)
+    figure, axes = one_panel()
     hertz, zeta = dataset["mode_hz"].to_numpy(), dataset["mode_zeta"].to_numpy()
     rows = [one.row for one in level.outcomes]
     real, high = (dataset[name].to_numpy()[rows] for name in ("pole_real", "pole_hz"))
@@ -109,7 +97,7 @@ def poles(dataset: xr.Dataset, level: Level) -> Figure:
     axes.axhline(0.0, color="#444444", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_yscale("symlog", linthresh=0.1)
-    _powers(axes.xaxis)
+    label_powers(axes.xaxis)
     axes.set_xlabel("frequency of the pole (Hz)")
     axes.set_ylabel("real part (1/s)")
     growing = sorted((one for one in level.outcomes if not one.stable), key=lambda one: -one["growth"])
@@ -121,7 +109,7 @@ def poles(dataset: xr.Dataset, level: Level) -> Figure:
 @rc_context(STYLE)
 def shifts(dataset: xr.Dataset, level: Level) -> Figure:
     """Draw |dw/w| over the damping ratio of every low mode; models whose loop grows are marked."""
-    figure, (axes,) = _panels(1)
+    figure, axes = one_panel()
     hertz, zeta = (dataset[name].to_numpy()[:_MODES] for name in ("mode_hz", "mode_zeta"))
     every = dataset["mode_shift"].to_numpy()
     places = np.arange(1, len(hertz) + 1)
@@ -134,7 +122,7 @@ def shifts(dataset: xr.Dataset, level: Level) -> Figure:
         )  # fmt: skip
     axes.axhline(1.0, color="#444444", linewidth=0.8, linestyle=(0, (5, 2)))
     axes.set_yscale("log")
-    _powers(axes.yaxis)
+    label_powers(axes.yaxis)
     axes.set_xticks(places, [f"{one:.0f}" for one in hertz], fontsize=7)
     axes.set_xlabel("mode of the full model (Hz)")
     axes.set_ylabel("|Δω/ω| of the variant over the damping ratio ζ")

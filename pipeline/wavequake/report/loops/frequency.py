@@ -8,11 +8,10 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from wavequake.drawing.ticks import power_of_ten
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style, one_panel
+from wavequake.drawing.ticks import label_powers
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, curve_style, one_panel, stacked
 
 Array = NDArray[np.float64]
 _GREY, _FLOOR, _REACH = "#444444", 1e-4, 2.5
@@ -73,20 +72,13 @@ def logarithmic(axes: Axes, *, both: bool = True) -> None:
     if both:
         axes.set_yscale("log")
     for axis in (axes.xaxis, axes.yaxis) if both else (axes.xaxis,):
-        axis.set_major_formatter(FuncFormatter(power_of_ten))
-        axis.set_minor_formatter(NullFormatter())
-
-
-def _panels(height: float) -> tuple[Figure, Axes, Axes]:
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True)
-    return figure, upper, lower
+        label_powers(axis)
 
 
 @rc_context(STYLE)
 def bode(curves: Sequence[Curve]) -> Figure:
     """Draw size and phase of loop gains; bars are gain and phase margins."""
-    figure, upper, lower = _panels(1.25 * HEIGHT)
+    figure, (upper, lower) = stacked(height=1.25 * HEIGHT)
     for place, one in enumerate(curves):
         for column, values in enumerate(one.gain.T):
             # Down to -360 deg, so that -180 deg lies in the middle.
@@ -150,7 +142,7 @@ def nyquist(curves: Sequence[Curve]) -> Figure:
 @rc_context(STYLE)
 def sensitivities(curves: Sequence[Curve]) -> Figure:
     """Draw the sizes of sensitivity and complementary sensitivity."""
-    figure, upper, lower = _panels(1.25 * HEIGHT)
+    figure, (upper, lower) = stacked(height=1.25 * HEIGHT)
     for place, one in enumerate(curves):
         upper.plot(one.hertz, one.sensitivity, label=one.label, **curve_style(place))
         lower.plot(one.hertz, one.complementary, **curve_style(place))

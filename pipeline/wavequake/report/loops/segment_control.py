@@ -14,14 +14,14 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style, one_panel
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, curve_style, one_panel, stacked
 from wavequake.report.loops.frequency import (
     Curve,
     logarithmic,
 )
 from wavequake.report.loops.over_frequency import locus, loops_over_frequency, noise_picture
 from wavequake.report.loops.spectra import Spectrum, of_density, spectra
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number, table_of_rows
 
@@ -135,12 +135,12 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table_of_rows(rows_of(bandwidths_of(dataset)), answer(dataset), 0, " {}")
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     dataset = dataset.load()
     loops = bandwidths_of(dataset)
     focus, others = float(dataset["multiplier"][0]), float(dataset["multiplier_rest"])
-    page = Page(
+    return Page(
         answer=answer(dataset),
         table=rows_of(loops),
         small_print="Surface rms over all segments; the wavefront is twice as large.",
@@ -176,7 +176,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="case",
         left_out=left_out(dataset, ["realization"]),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 @rc_context(STYLE)
@@ -291,8 +290,7 @@ def _spectra(dataset: xr.Dataset, loops: Sequence[Bandwidth], key: str) -> list[
 
 @rc_context(STYLE)
 def _modes(dataset: xr.Dataset) -> Figure:
-    figure = Figure(figsize=(WIDTH, 1.4 * HEIGHT), layout="constrained")
-    panels = figure.subplots(2, sharex=True)
+    figure, panels = stacked(height=1.4 * HEIGHT)
     modes = dataset["mirror_mode"].to_numpy()
     for axes, key, label in zip(
         panels, ("singular", "multiplier"), ("reading per stroke (m/m)", "noise multiplier"), strict=True

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import periodogram
 
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style
+from wavequake.report.figures import HEIGHT, STYLE, curve_style, stacked
 from wavequake.report.loops.frequency import logarithmic
 from wavequake.report.table import number
 
@@ -69,8 +69,7 @@ def of_density(
 @rc_context(STYLE)
 def spectra(found: Sequence[Spectrum], what: str, unit: str) -> Figure:
     """Draw densities, and below them the rms from each frequency on upwards."""
-    figure = Figure(figsize=(WIDTH, 1.25 * HEIGHT), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure, (upper, lower) = stacked(height=1.25 * HEIGHT)
     shaped = iter(range(len(found)))
     for one in found:
         look = {"color": "#999999", "linewidth": 2.6} if one.calm else curve_style(next(shaped))

@@ -16,10 +16,10 @@ from rich.table import Table
 from wavequake.campaign.contract import DONE
 from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style
+from wavequake.report.figures import HEIGHT, STYLE, curve_style, stacked
 from wavequake.report.histories import has_histories, over_time, what_is_kept
 from wavequake.report.loops.over_frequency import over_frequency
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out
 from wavequake.report.table import number, radius, table_of_rows
 from wavequake.workflows.loops.controller_names import explain_names
@@ -242,8 +242,8 @@ def _share(value: float, of: float | None) -> str:
     return f"{number(100 * value / of)} %" if of else ""
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     dataset = seen_by_loops(dataset)
     known = controllers_of(dataset)
     sections, overview = [], []
@@ -251,7 +251,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         found = results(cases)
         overview += [*_scans(disturbance, found, known, sight_unit(dataset))]
         sections.append(Section(disturbance, [*_shown(disturbance, cases, found, known)]))
-    page = Page(
+    return Page(
         answer=answer(dataset),
         table=common.without_what_is_alike(_rows(dataset)),
         small_print=" ".join(filter(None, (_SMALL_PRINT, _traced(dataset), explain_names(known.values()))))
@@ -262,7 +262,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="controller",
         left_out=left_out(dataset),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _scans(
@@ -295,8 +294,7 @@ def _scan(mine: Sequence[Result], known: dict[str, dict[str, Any]], unit: str) -
     shown = {"wfe": "wavefront error (nm)", "los": f"line of sight ({unit})"}
     if min(one.wfe for one in mine) > _HELPS * max(one.wfe for one in mine):
         del shown["wfe"]  # a mirror that only tilts leaves it as it is
-    figure = Figure(figsize=(WIDTH, (0.3 + 0.6 * len(shown)) * HEIGHT), layout="constrained")
-    panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
+    figure, panels = stacked(len(shown), height=(0.3 + 0.6 * len(shown)) * HEIGHT)
     for axes, (key, label) in zip(panels, shown.items(), strict=True):
         curves: dict[str, list[tuple[float, float]]] = {}
         for one in mine:

@@ -16,7 +16,7 @@ from wavequake.report.figures import COLORS, STYLE, curve_style, one_panel
 from wavequake.report.loops.frequency import Curve, logarithmic
 from wavequake.report.loops.over_frequency import SENSITIVITY, locus, loops_over_frequency, noise_picture
 from wavequake.report.loops.spectra import of_density
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number, table_of_rows
 
@@ -122,11 +122,11 @@ def row_of(one: Loop) -> dict[str, tuple[str, str]]:
     }
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     dataset = dataset.load()
     loops = loops_of(dataset)
-    page = Page(
+    return Page(
         answer=answer(dataset, loops),
         table=[row_of(one) for one in loops],
         small_print="The rms over time of the line of sight along one axis; ± is a standard error of runs.",
@@ -149,7 +149,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="controller",
         left_out=left_out(dataset, ["controller", "rate_hz"], most=1000),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> list[Picture]:

@@ -15,10 +15,10 @@ from wavequake.report.exposures import tables as common
 from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.mirrors.variants import few
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out
 from wavequake.report.table import MISSING, number, radius, table_of_rows
-from wavequake.workflows.mirrors.bench import bench_of
+from wavequake.workflows.mirrors.bench import any_study_of, bench_of, cases_of
 
 Array = NDArray[np.float64]
 
@@ -46,10 +46,10 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table_of_rows(rows, f"{_LEGEND} {answer(rows)}{what_is_kept(dataset)}", 3)
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     rows = _rows(dataset)
-    page = Page(
+    return Page(
         answer=answer(rows),
         table=rows,
         small_print=_SMALL_PRINT + what_is_kept(dataset),
@@ -63,7 +63,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="variant",
         left_out=left_out(dataset, ["model", "variant"]),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def answer(rows: Iterable[dict[str, tuple[str, str]]]) -> str:
@@ -152,8 +151,9 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
 
 def _pupil(part: xr.Dataset) -> Mask:
     """Return which part of the pupil reflects."""
-    optics = bench_of(str(part.attrs["study"]), str(part["model"].to_numpy()[0])).optics
-    return annulus(optics.obscuration)
+    text = str(part.attrs["study"])
+    name, _ = cases_of(any_study_of(text))[int(part["case"][0])]
+    return annulus(bench_of(text, name).optics.obscuration)
 
 
 def _image_pictures(

@@ -6,25 +6,16 @@ import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from wavequake.drawing.ticks import power_of_ten
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, curve_style, one_panel
+from wavequake.drawing.ticks import label_powers
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, curve_style, one_panel, stacked
 from wavequake.report.mirrors.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
 
 EXPOSED = 3  # variants whose exposures stand beside that of the reference
 # Noll indices whose responses Fig. 4.29 shows: one of each pair that three-fold symmetry makes alike.
 _SHOWN = (2, 4, 5, 7, 9, 11)
-
-
-def label_powers(axis: Axis) -> None:
-    """Label a logarithmic axis at powers of ten."""
-    axis.set_major_formatter(FuncFormatter(power_of_ten))
-    axis.set_minor_formatter(NullFormatter())
 
 
 @rc_context(STYLE)
@@ -160,8 +151,7 @@ def wavefront_history(
     dataset: xr.Dataset, excitation: str, shown: Sequence[VariantResult], reference: VariantResult
 ) -> Figure:
     """Draw the wavefront error over time, and beneath it how far the variants are off the reference."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    above, below = figure.subplots(2, sharex=True)
+    figure, (above, below) = stacked()
     time = dataset["time"].to_numpy() * 1e3
     part = dataset.sel(excitation=excitation)
     above.plot(time, part["wfe_rms"].sel(case=reference.case), color="#999999", linewidth=2.6)
@@ -208,32 +198,6 @@ def mac_map(dataset: xr.Dataset, one: VariantResult, reference: VariantResult) -
 
 
 @rc_context(STYLE)
-def exposure_panels(
-    dataset: xr.Dataset, excitation: str, shown: Sequence[VariantResult], reference: VariantResult
-) -> Figure:
-    """Show the exposures of the reference and of up to `EXPOSED` variants, one scale (Fig. 4.32b)."""
-    chosen = [reference, *shown]
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    panels = figure.subplots(2, 2, sharex=True, sharey=True, squeeze=False).ravel()
-    x = dataset["x"].to_numpy()
-    images = dataset["exposure"].sel(excitation=excitation)
-    top = float(images.sel(case=reference.case).max())
-    image = None
-    for panel, one in zip(panels, chosen, strict=False):
-        pixels = np.maximum(images.sel(case=one.case).to_numpy(), 1e-5 * top)
-        image = panel.imshow(
-            pixels, norm=LogNorm(1e-4 * top, top), origin="lower", extent=(x[0], x[-1], x[0], x[-1])
-        )
-        panel.set_title(one.variant, fontsize=8)
-    for panel in panels[len(chosen) :]:
-        panel.set_visible(False)
-    figure.supxlabel("λ/D", fontsize=8)
-    if image is not None:
-        figure.colorbar(image, ax=list(panels), shrink=0.8, format=FuncFormatter(power_of_ten))
-    return figure
-
-
-@rc_context(STYLE)
 def mode_fits(dataset: xr.Dataset, shown: Sequence[VariantResult]) -> Figure:
     """Draw how badly the Zernike polynomials fit each mode of some variants (Fig. 4.36)."""
     figure, axes = one_panel()
@@ -253,8 +217,7 @@ def mode_fits(dataset: xr.Dataset, shown: Sequence[VariantResult]) -> Figure:
 @rc_context(STYLE)
 def both_methods(dataset: xr.Dataset, excitation: str, shown: Sequence[tuple[int, str]]) -> Figure:
     """Draw the wavefront error over time by both methods, and beneath it their difference (Fig. 4.33)."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    above, below = figure.subplots(2, sharex=True)
+    figure, (above, below) = stacked()
     time = dataset["time"].to_numpy() * 1e3
     part = dataset.sel(excitation=excitation)
     for number, (case, variant) in enumerate(shown):

@@ -6,11 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from wavequake.report.exposures.figures import Panel, exposure_panels
 from wavequake.report.histories import has_histories, what_is_kept
 from wavequake.report.mirrors import figures as draw
 from wavequake.report.mirrors import shapes as mirror_shapes
@@ -25,9 +26,9 @@ from wavequake.report.mirrors.variants import (
     model_results,
     representatives,
 )
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 
 _SMALL_PRINT = (
     "ε: largest relative error of the transfer matrix over frequency, in small print over the lower third of "
@@ -57,19 +58,9 @@ _DEFINITIONS = (
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     models, criterion = results_of(dataset)
-    headers = list(_HEADERS)
     words = f"{answer(models, criterion)} {_TABLE_WORDS} {checked(dataset)}{what_is_kept(dataset)}"
-    table = Table(
-        box=SIMPLE_HEAD, caption=words, caption_justify="left", padding=(0, 1, 0, 0), pad_edge=False
-    )
-    for header in headers:
-        first = header == headers[0]
-        table.add_column(
-            header.replace(" ", "\n"),
-            justify="left" if first else "right",
-            no_wrap=not first,
-            overflow="fold",
-        )
+    headers = [header.replace(" ", "\n") for header in _HEADERS]
+    table = empty_table(headers, fixed=True, caption=words, padding=(0, 1, 0, 0), pad_edge=False)
     for model in models:
         table.add_row(Text(model.name, style="bold"))
         for one in model.variants:
@@ -79,10 +70,10 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     models, criterion = results_of(dataset)
-    page = Page(
+    return Page(
         answer=answer(models, criterion),
         table=[
             {"model": (model.name, ""), **row_of(one, criterion)}
@@ -109,7 +100,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="variant",
         left_out=left_out(dataset, ["model", "variant"]),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def results_of(dataset: xr.Dataset) -> tuple[list[ModelResult], Criterion]:
@@ -276,10 +266,15 @@ def excitation_pictures(
                 "A variant is good where its line lies on the reference.",
             )
         if "exposure" in dataset:
+            images = dataset["exposure"].sel(excitation=excitation)
+            panels = [
+                Panel(one.variant, images.sel(case=one.case).to_numpy(), np.zeros((0, 2)))
+                for one in (reference, *exposed)
+            ]
             yield picture(
                 f"{name}-{excitation}-image",
                 f"Exposures, {excitation}",
-                draw.exposure_panels(dataset, excitation, exposed, reference),
+                exposure_panels(panels, dataset["x"].to_numpy()),
                 "What the camera sees after the whole vibration: equal pictures mean that the reduction "
                 "does not matter.",
             )

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel
+from wavequake.report.figures import STYLE, WIDTH, curve_style, one_panel, stacked
 from wavequake.report.histories import has_all_instants
 from wavequake.report.mirrors.deformed_body import bodies
 from wavequake.report.mirrors.variants import ModelResult, VariantResult, representatives
@@ -120,8 +120,7 @@ def node_history(
     dataset: xr.Dataset, excitation: str, shown: Sequence[VariantResult], reference: VariantResult
 ) -> Figure:
     """Draw the motion of a node, and its error as a share of the largest motion (Figs. 4.21b to 4.23)."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
-    above, below = figure.subplots(2, sharex=True)
+    figure, (above, below) = stacked()
     time = dataset["time"].to_numpy() * 1e3
     motion = dataset["node_motion"].sel(excitation=excitation) * 1e6
     truth = motion.sel(case=reference.case).to_numpy()

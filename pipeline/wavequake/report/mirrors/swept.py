@@ -14,8 +14,8 @@ from rich.table import Table
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.store.store import read_manifest
+from wavequake.drawing.ticks import label_powers
 from wavequake.report.figures import STYLE, WIDTH, curve_style, one_panel
-from wavequake.report.mirrors.figures import label_powers
 from wavequake.report.mirrors.report import results_of, worded
 from wavequake.report.mirrors.variants import (
     MEASURES,
@@ -25,7 +25,7 @@ from wavequake.report.mirrors.variants import (
     few,
     largest,
 )
-from wavequake.report.page import Page, Picture, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, picture
 from wavequake.report.plain import short
 from wavequake.report.populations import left_out
 from wavequake.report.table import number, table_of_rows
@@ -178,10 +178,10 @@ def _row(point: Point) -> dict[str, tuple[str, str]]:
     }
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     points = points_done(store, dataset)
-    page = Page(
+    return Page(
         answer=answer(points) or "No case is done yet.",
         table=[_row(point) for point in points],
         small_print="Its error: the largest over time and over the excitations that decide, of the measure "
@@ -192,7 +192,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="variant",
         left_out=left_out(dataset, ["model", "variant"]),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _pictures(points: Sequence[Point]) -> Iterator[Picture]:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -14,9 +13,9 @@ from wavequake.campaign.contract import DONE
 from wavequake.report.histories import has_histories, over_time, what_is_kept
 from wavequake.report.mirrors import figures as draw
 from wavequake.report.mirrors.variants import few
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import MISSING, empty_table, number
 from wavequake.workflows.mirrors.trace import MODAL, STANDARD
 
 # Stores of earlier versions displaced all nodes at every instant.
@@ -161,11 +160,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     results = trace_results(dataset)
     caption = answer(results) + what_is_kept(dataset)
-    table = Table(box=SIMPLE_HEAD, caption=caption, caption_justify="left")
     headers = [header for header in (*_HEADERS, *_COSTS) if header not in _ONLY_ON_PAPER]
-    for header in headers:
-        words = header in _HEADERS[:2]
-        table.add_column(header, justify="left" if words else "right", no_wrap=not words, overflow="fold")
+    table = empty_table(headers, _HEADERS[:2], fixed=True, caption=caption)
     for model in dict.fromkeys(one.model for one in results):
         table.add_row(Text(model, style="bold"))
         for one in results:
@@ -174,10 +170,10 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report."""
     results = trace_results(dataset)
-    page = Page(
+    return Page(
         answer=answer(results),
         table=[
             {"model": (one.model, ""), **{header: (value, "") for header, value in _row(one).items()}}
@@ -202,7 +198,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="variant",
         left_out=left_out(dataset, ["model", "variant"]),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _costs(results: Iterable[TraceResult]) -> dict[str, dict[str, float]]:

@@ -28,7 +28,6 @@ from wavequake.workflows.mirrors.bench import (
     bench_of,
     cases_of,
     drive_at,
-    time_of,
     trace_study_of,
     variant_of,
 )
@@ -241,7 +240,7 @@ def _of_mirror(text: str, case: int, device_name: str) -> xr.Dataset:
     """Return inputs, coordinates, figures and Zernike coefficients over time, by both methods."""
     study, device = trace_study_of(text), choose_device(device_name)
     name, variant = cases_of(study)[case]
-    bench, time = bench_of(text, name), time_of(study)
+    bench, time = bench_of(text, name), study.time.seconds
     reduced, optics, clock = variant_of(bench, variant), bench.optics, Stopwatch()
     motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))
     left, parts = left_by(optics, reduced), []

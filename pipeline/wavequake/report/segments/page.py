@@ -1,7 +1,6 @@
 """The report of a segment-disturbance campaign: table, figures and definitions of one HTML page."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -14,7 +13,7 @@ from wavequake.report import figures
 from wavequake.report.exposures.camera import CAMERA, camera_pictures
 from wavequake.report.exposures.tables import object_picture
 from wavequake.report.histories import what_is_kept
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import (
     Population,
     Summary,
@@ -90,15 +89,14 @@ _DEFINITIONS = (
 )
 
 
-def write_report(
+def page_of(
     dataset: xr.Dataset,
     details: Sequence[Detail],
-    path: str | Path,
     analytic: Mapping[str, tuple[float, str]] | None = None,
     more: Sequence[Picture] = (),
     light: str = "",
-) -> Path:
-    """Write the report of a store to one HTML file, which appears whole or not at all.
+) -> Page:
+    """Return the report of a store.
 
     Parameters
     ----------
@@ -106,8 +104,6 @@ def write_report(
         What ``open_store`` gives.
     details : sequence of Detail
         Cases to show as maps, beneath their disturbance; any number, also none.
-    path : str or Path
-        The file to write; an older one is replaced.
     analytic : mapping of str to (float, str), optional
         Rms that a disturbance implies by its definition, and its unit: line of sight (both axes together) in
         mas, or segments along their normals in nm.
@@ -116,28 +112,11 @@ def write_report(
     light : str
         What to say of light that does not arrive.
 
-    Returns
-    -------
-    Path
-        `path`, absolute.
-
     Raises
     ------
     UserError
-        If the dataset is not that of a campaign, a detail belongs to no disturbance of it, or the file cannot
-        be written.
+        If the dataset is not that of a campaign, or a detail belongs to no disturbance of it.
     """
-    return write_page(render_report(dataset, details, analytic, more, light), path)
-
-
-def render_report(
-    dataset: xr.Dataset,
-    details: Sequence[Detail],
-    analytic: Mapping[str, tuple[float, str]] | None = None,
-    more: Sequence[Picture] = (),
-    light: str = "",
-) -> str:
-    """Return the report as HTML; parameters as for :func:`write_report`."""
     found = populations(dataset)
     for detail in details:
         if detail.disturbance not in [population.name for population in found]:
@@ -146,21 +125,18 @@ def render_report(
             )
     model = analytic or {}
     summaries = [summarize(population, model.get(base_name(population.name))) for population in found]
-    return render_page(
-        dataset,
-        Page(
-            answer=f"{answer(summaries)} {light}".rstrip(),
-            table=rows(summaries),
-            small_print=_SMALL_PRINT + what_is_kept(dataset),
-            overview=[*_overview(found), *more],
-            sections=[
-                _section(place, population, details, of_population(dataset, population.name))
-                for place, population in enumerate(found)
-            ],
-            definitions=[(term, _definition(dataset, name, use)) for term, name, use in _DEFINITIONS],
-            kind="disturbance",
-            left_out=excluded(dataset),
-        ),
+    return Page(
+        answer=f"{answer(summaries)} {light}".rstrip(),
+        table=rows(summaries),
+        small_print=_SMALL_PRINT + what_is_kept(dataset),
+        overview=[*_overview(found), *more],
+        sections=[
+            _section(place, population, details, of_population(dataset, population.name))
+            for place, population in enumerate(found)
+        ],
+        definitions=[(term, _definition(dataset, name, use)) for term, name, use in _DEFINITIONS],
+        kind="disturbance",
+        left_out=excluded(dataset),
     )
 
 

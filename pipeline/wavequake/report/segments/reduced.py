@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -20,13 +19,13 @@ from wavequake.mechanics.disturbances.registry import analytic_rms
 from wavequake.report.answers import budget
 from wavequake.report.certificate import ERRORS, certificate, modal_errors
 from wavequake.report.histories import what_is_kept
-from wavequake.report.page import Page, Picture, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, picture
 from wavequake.report.populations import left_out
 from wavequake.report.segments.fields import base_name
 from wavequake.report.segments.vignetting import stopped_light
 from wavequake.report.statistics import FEWEST, Quantile, case_rms, quantile
 from wavequake.report.systems.figures import distributions
-from wavequake.report.table import MISSING, interval, number, share
+from wavequake.report.table import MISSING, empty_table, interval, number, share
 from wavequake.report.uncertain import PartedResult, parted_results, sentence
 from wavequake.report.uncertain import pictures as parts_pictures
 from wavequake.workflows.segments.bench import bench_of
@@ -130,12 +129,10 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
             *certificate(bench_of(read_manifest(store).study).study.optics.modal_tolerance_nm, dataset),
         ]
     )
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption, caption_justify="left")
-    table.add_column("disturbance\ncases", overflow="fold")
-    table.add_column("")
-    for header in ("WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)", "LOS rms\n(mas)", "segments\nrms (nm)"):
-        table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("Maréchal", justify="right")
+    words = ("disturbance\ncases", "")
+    numbers = "WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)", "LOS rms\n(mas)", "segments\nrms (nm)"
+    headers = (*words, *numbers, "Maréchal")
+    table = empty_table(headers, words, fixed=True, padding=0, pad_edge=False, caption=caption)
     for one in reduced_populations(store, dataset):
         model = "" if one.segments_model is None else f"\n({number(one.segments_model)})"
         missing = f"\n{one.unfinished} missing" if one.unfinished else ""
@@ -163,10 +160,8 @@ def _rms(values: Array) -> float:
     return float(case_rms(values[None])[0]) if values.size else np.nan
 
 
-def write_report_of(
-    store: Path, dataset: xr.Dataset, target: Path, words: str = "", more: Sequence[Picture] = ()
-) -> Path:
-    """Write the HTML report: the table, distributions over cases, those of the model's error, and more."""
+def page_of(store: Path, dataset: xr.Dataset, words: str = "", more: Sequence[Picture] = ()) -> Page:
+    """Return the HTML report: the table, distributions over cases, those of the model's error, and more."""
     near = "log_weight" in dataset.variables
     kept, light, dataset = what_is_kept(dataset), stopped_light(store, dataset), _loaded(dataset)
     found = [one for one in reduced_populations(store, dataset) if len(one.wfe)]
@@ -194,7 +189,7 @@ def write_report_of(
         label = "largest error of the modal model in a case (nm)"
         how = "What the modal model is off by in cases that were traced in full, too: further left is better."
         pictures.append(picture("modal-error", f"Distribution: {label}", distributions(in_nm, label), how))
-    page = Page(
+    return Page(
         answer=" ".join(
             [
                 _answer(found, near) + sentence(parts),
@@ -220,7 +215,6 @@ def write_report_of(
         kind="disturbance",
         left_out=left_out(dataset, most=_LISTED),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _answer(found: list[ReducedPopulation], near: bool = False) -> str:

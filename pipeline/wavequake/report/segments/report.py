@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -25,6 +26,9 @@ from wavequake.workflows.segments.bench import MAS_PER_RAD, Bench, bench_at, ben
 from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.launches import surface_states
 
+if TYPE_CHECKING:
+    from wavequake.report.page import Page
+
 _MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
 
 
@@ -47,8 +51,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report.
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> "Page":
+    """Return the HTML report.
 
     The worst case of every disturbance is recomputed in full for the maps; its numbers are those of the
     store, bit for bit, if the device that computed them is at hand.
@@ -57,8 +61,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     from wavequake.report.answers import budget
     from wavequake.report.reduced_models import model_results, verdict
     from wavequake.report.reduced_models import pictures as model_pictures
-    from wavequake.report.segments import reduced
-    from wavequake.report.segments.page import write_report
+    from wavequake.report.segments import page, reduced
 
     places, compared = place_names(dataset), bench_of(read_manifest(store).study).study.reduction
     models = model_results(dataset, compared.variants) if compared is not None else []
@@ -66,7 +69,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     dataset = by_field(dataset)
     if is_reduced(dataset):
         words = verdict(models, largest).strip()
-        return reduced.write_report_of(store, dataset, target, words, list(model_pictures(models, largest)))
+        return reduced.page_of(store, dataset, words, list(model_pictures(models, largest)))
     study = read_manifest(store).study
     details = [
         replace(
@@ -82,7 +85,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     said = verdict(models, largest), uncertain.sentence(parts), stopped_light(store, dataset)
     words = " ".join(one.strip() for one in said if one)
     more = [*model_pictures(models, largest), *uncertain.pictures(parts), *budget.pictures(store)]
-    return write_report(dataset, details, target, _analytic(store), more, words)
+    return page.page_of(dataset, details, _analytic(store), more, words)
 
 
 def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset, place: int = 0) -> Detail:

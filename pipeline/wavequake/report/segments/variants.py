@@ -16,7 +16,7 @@ from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.mirrors import figures as draw
 from wavequake.report.mirrors import report as mirrors
 from wavequake.report.mirrors.variants import ModelResult, VariantResult, representatives
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.segments.detail import Detail
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
@@ -53,15 +53,15 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return mirrors.table_of(store, dataset)
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report.
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report.
 
     The wavefront of the reference at its worst instant is recomputed for the maps, and that of the variant
     that is recommended, less the reference's.
     """
     models, criterion = mirrors.results_of(dataset)
     study = read_manifest(store).study
-    page = Page(
+    return Page(
         answer=mirrors.answer(models, criterion),
         table=[
             {"shaken": (model.name, ""), **mirrors.row_of(one, criterion)}
@@ -88,7 +88,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="variant",
         left_out=left_out(dataset, ["model", "variant"]),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _segment_figures(dataset: xr.Dataset, models: list[ModelResult]) -> Iterable[Picture]:

@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -24,7 +23,7 @@ from wavequake.report import uncertain
 from wavequake.report.answers import budget
 from wavequake.report.certificate import certificate
 from wavequake.report.histories import has_all_instants, what_is_kept
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out, nothing_known
 from wavequake.report.reduced_models import model_results, verdict
 from wavequake.report.reduced_models import pictures as model_pictures
@@ -39,7 +38,7 @@ from wavequake.report.systems.populations import (
     peaks_at_rest,
     populations,
 )
-from wavequake.report.table import interval, number, radius, share
+from wavequake.report.table import empty_table, interval, number, radius, share
 from wavequake.report.vibration import histories_and_spectra
 from wavequake.words import counted
 from wavequake.workflows.systems.bench import (
@@ -89,11 +88,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     headers = _headers(found)
     words = certificate(bench.study.optics.modal_tolerance_nm, dataset)
     caption = "\n\n".join([_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset), *words])
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption)
-    table.caption_justify = "left"
-    table.add_column("disturbance\nfield")
-    for header in headers[3:]:
-        table.add_column(header.replace(" ", "\n"), justify="right", no_wrap=True)
+    names = "disturbance\nfield", *(header.replace(" ", "\n") for header in headers[3:])
+    table = empty_table(names, fixed=True, padding=0, pad_edge=False, caption=caption)
     table.add_row(Text("at rest", style="bold"))
     for resting in _at_rest(dataset, bench):
         table.add_row(f"  {resting['field'][0]}", *(resting[header][0] for header in headers[3:]))
@@ -111,8 +107,8 @@ def _failed(found: Sequence[SystemPopulation], dataset: xr.Dataset) -> dict[str,
     return {one.name: int((failed & (names == one.name)).sum()) for one in found if not len(one.cases)}
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report; the worst case of every disturbance is traced again for its spot diagrams."""
+def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
+    """Return the HTML report; the worst case of every disturbance is traced again for its spot diagrams."""
     bench = system_bench(read_manifest(store).study)
     found = populations(dataset, bench)
     headers = _headers(found)
@@ -123,7 +119,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     light = dataset.isel(wavelength=bench.system.primary_wavelength)
     models = model_results(light, compared.variants) if compared is not None else []
     largest = compared.largest if compared is not None else 0.0
-    page = Page(
+    return Page(
         answer=nothing_known(_failed(found, dataset))
         + answer(found, _sums(bench))
         + verdict(models, largest)
@@ -144,7 +140,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         kind="disturbance",
         left_out=left_out(dataset),
     )
-    return write_page(render_page(dataset, page), target)
 
 
 def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:

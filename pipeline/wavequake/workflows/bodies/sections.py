@@ -10,8 +10,8 @@ from wavequake.mechanics.importers.checks import Triangle
 from wavequake.mechanics.importers.model import PAD_DOFS, PADS, TRIANGLE, ZERO_ROWS, Nodes
 from wavequake.mechanics.importers.pads import PadDofs, PadKind
 from wavequake.mechanics.nodal.modes import FORMATS as MODE_FILES
-from wavequake.workflows.mirrors.compared_models import ComparedSection, canonical
-from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.mirrors.compared_models import ComparedSection
+from wavequake.workflows.mirrors.study import FULL, canonical
 
 Place = Annotated[float, Field(ge=-1e7, le=1e7)]  # mm: within 10 km
 Point = Annotated[tuple[Place, Place, Place], Field(strict=False)]
@@ -25,9 +25,15 @@ Held = str | Annotated[tuple[str, ...], Field(min_length=3, strict=False)]
 class SolidSection(Section):
     """Of what a body is made; the defaults are aluminium."""
 
-    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e16)
-    poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=2700.0, ge=1e-3, le=1e6)
+    youngs_modulus_pa: float = Field(
+        default=70e9, gt=0, le=1e16, description="stress over strain, elastic; default: aluminium"
+    )
+    poisson_ratio: float = Field(
+        default=0.33, gt=-1, lt=0.5, description="transverse contraction over extension; default: aluminium"
+    )
+    density_kg_m3: float = Field(
+        default=2700.0, ge=1e-3, le=1e6, description="of the solid material; default: aluminium"
+    )
 
 
 class MirrorBodySection(SolidSection):
@@ -41,7 +47,7 @@ class MirrorBodySection(SolidSection):
         default=None, gt=0, description="default: that of the surface, or of what the beams fill of it"
     )
     inner_diameter_m: float | None = Field(default=None, gt=0, description="of an annulus, required")
-    thickness_m: float = Field(gt=0, le=100)
+    thickness_m: float = Field(gt=0, le=100, description="of the mirror, the same everywhere")
     mount_radius_m: float | None = Field(default=None, gt=0, description="default: 0.645 of the radius")
     mount_angles_deg: tuple[float, ...] = Field(
         default=(0.0, 120.0, 240.0),
@@ -113,7 +119,7 @@ class ImportedBodySection(Section):
 class RigidBodySection(Section):
     """A rigid body: any point of it is a node."""
 
-    mass_kg: float = Field(gt=0, le=1e9)
+    mass_kg: float = Field(gt=0, le=1e9, description="of the whole body, surfaces included")
     inertia_kg_m2: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)] = Field(
         description="principal moments about the center of mass, along x, y, z of the body's axes"
     )
@@ -255,7 +261,7 @@ class BodySection(Section):
 class LinkSection(Section):
     """What joins nodes of bodies: springs, legs or rigid connections."""
 
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, description="of the link in messages and overrides")
     kind: Literal["springs", "legs", "rigid"] = Field(
         description="springs and dampers along x, y, z of the system between nodes at one place; legs that "
         "push and pull along the line between nodes, as those of a hexapod; rigid: nodes at one place move "
@@ -297,8 +303,10 @@ class MeasuredModeSection(Section):
     """A mode whose frequency and damping were measured."""
 
     number: int = Field(ge=1, description="of the mode, by frequency, from 1")
-    frequency_hz: float = Field(gt=0)
-    damping_ratio: float = Field(gt=0, lt=1)
+    frequency_hz: float = Field(gt=0, description="measured, in place of the model's")
+    damping_ratio: float = Field(
+        gt=0, lt=1, description="measured share of critical damping, in place of the model's"
+    )
     frequency_error: float = Field(
         default=0.0,
         ge=0,

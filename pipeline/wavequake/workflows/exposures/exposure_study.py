@@ -38,7 +38,7 @@ class TelescopeExposureStudy(SegmentStudy):
 
     @model_validator(mode="after")
     def _the_correction_is_measured(self) -> "TelescopeExposureStudy":
-        if self.wavefront.method != "opd" or self.wavefront.reference != "chief":
+        if not self.wavefront.plain:
             raise ValueError("exposures need wavefront.method = 'opd' and wavefront.reference = 'chief'")
         if self.figure_terms > self.wavefront.zernike_terms:
             raise ValueError(

@@ -44,7 +44,6 @@ from wavequake.workflows.mirrors.bench import (
     imager_of,
     import_notices,
     import_record,
-    time_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.optics import Optics, optical_rows
@@ -225,7 +224,7 @@ def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_of(study_text)
     axes = {
-        "time": Axis(time_of(study), "time", "s"),
+        "time": Axis(study.time.seconds, "time", "s"),
         "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
         **exposure_axes(study.imaging.pixels, study.imaging.sampling),
     }

@@ -34,10 +34,12 @@ MODES = 13
 class PassiveSection(Section):
     """What the search may change, and by how much."""
 
-    springs: bool = True
-    inertias: bool = True
+    springs: bool = Field(default=True, description="whether stiffnesses of springs and couplings may change")
+    inertias: bool = Field(default=True, description="whether masses of lenses and rings may change")
     factor: float = Field(default=1.5, gt=1, le=10, description="largest ratio to the present values")
-    iterations: int = Field(default=200, ge=1, le=10_000)
+    iterations: int = Field(
+        default=200, ge=1, le=10_000, description="of the search from each start, at most"
+    )
 
     @model_validator(mode="after")
     def _something_changes(self) -> Self:

@@ -16,7 +16,9 @@ _LEAST = 1e-12  # of efforts
 class SupportedModelSection(Section):
     """An elastic mirror on springs: a glass-ceramic segment, or a circular or annular mirror of aluminium."""
 
-    shape: Literal["segment", "circular", "annular"] = "segment"
+    shape: Literal["segment", "circular", "annular"] = Field(
+        default="segment", description="outline of the mirror, which decides its material, too"
+    )
     divisions: int = Field(
         default=11, ge=2, le=40, description="elements along the side of a segment, or along the radius"
     )
@@ -94,11 +96,13 @@ class JudgedVariantsSection(VariantsSection):
     """Which reduced models get a controller, and in which bands their transfer functions are compared."""
 
     last_hz: float = Field(default=200.0, gt=0, description="upper end of the band that models are made for")
-    first_hz: float = Field(default=1.0, gt=0)
+    first_hz: float = Field(default=1.0, gt=0, description="lower end of the band that models are made for")
     beyond_hz: float = Field(
         default=600.0, gt=0, description="up to where errors above the band are looked at"
     )
-    frequencies: int = Field(default=800, ge=2, le=20000)
+    frequencies: int = Field(
+        default=800, ge=2, le=20000, description="evenly spread over the band, and as many beyond it"
+    )
 
     @model_validator(mode="after")
     def _bands_rise(self) -> "JudgedVariantsSection":
@@ -121,7 +125,9 @@ class ControllerCriterionSection(Section):
 class ExposedSection(Section):
     """The long exposure of a star that the mirror alone reflects."""
 
-    wavelength_nm: float = Field(default=550.0, ge=1, le=1e6)
+    wavelength_nm: float = Field(
+        default=550.0, ge=1, le=1e6, description="of the star's light; default: green"
+    )
     pixels: int = Field(default=32, ge=8, le=64, description="along one side")
     sampling: float = Field(default=0.25, gt=0, le=2, description="of a pixel, wavelengths over diameters")
 

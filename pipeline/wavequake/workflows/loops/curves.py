@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import periodogram
 
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measures import Axis
@@ -130,6 +129,8 @@ def spectrum(time: Array, motion: Array, hertz: Array) -> Array:
         unit^2/Hz, all axes together, by a Hann window; mean over the band that is nearest to each frequency,
         NaN where that is slower than half a cycle.
     """
+    from scipy.signal import periodogram  # takes half a second to load, in every worker
+
     even = np.linspace(time[0], time[-1], len(time))
     values = np.stack([np.interp(even, time, one) for one in motion.T], axis=1)
     at, density = periodogram(values, 1 / (even[1] - even[0]), "hann", axis=0)

@@ -23,6 +23,7 @@ from wavequake.control.sampled.stability import (
     worst_pole,
 )
 from wavequake.errors import UserError
+from wavequake.prepared import one_thread
 
 # Modules with loops(study), which returns Makers.
 _LOOPS = {
@@ -157,7 +158,9 @@ def loops_of(study: Study) -> Iterator[LoopMargins]:
         If its workflow has none.
     """
     for make in makers_of(study).values():
-        yield make().margins()
+        with one_thread():  # products are small, and threads would wait for each other
+            found = make().margins()
+        yield found
 
 
 def loop_named(study: Study, name: str | None = None) -> StudyLoop:

@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import CampaignSection, Section, Study
+from wavequake.campaign.schema import CampaignSection, Section, Study, require_own_names
 from wavequake.chain.loops.structure import ModeSection
 
 
@@ -19,7 +19,11 @@ class MirrorSection(Section):
     actuator_radius_m: float = Field(
         default=0.531, ge=0.01, le=10, description="of the circle of the three actuators"
     )
-    actuator_angles_deg: tuple[float, float, float] = Field(default=(90.0, 210.0, 330.0), strict=False)
+    actuator_angles_deg: tuple[float, float, float] = Field(
+        default=(90.0, 210.0, 330.0),
+        strict=False,
+        description="of the three actuators about a segment's center",
+    )
     arm_m: float = Field(
         default=0.05, ge=1e-4, le=10, description="reading per dihedral angle, at the nominal gap"
     )
@@ -28,7 +32,7 @@ class MirrorSection(Section):
     servo_hz: float | None = Field(
         default=20.0, gt=0, description="of an actuator's local position loop, second order; none: at once"
     )
-    servo_damping: float = Field(default=0.5, gt=0, le=10)
+    servo_damping: float = Field(default=0.5, gt=0, le=10, description="damping ratio of that servo")
 
     @field_validator("actuator_angles_deg")
     @classmethod
@@ -43,7 +47,7 @@ class SlowSection(Section):
     """Modes of the mirror that are controlled more slowly (or faster) than the others."""
 
     first: int = Field(ge=1, description="mode, counted from the least seen one, which is 1 (focus)")
-    last: int = Field(ge=1)
+    last: int = Field(ge=1, description="the last mode of this gain, counted alike")
     factor: float = Field(gt=0, le=10, description="of the gain")
 
     @model_validator(mode="after")
@@ -102,17 +106,21 @@ class SeenMode(ModeSection):
 class GustSection(Section):
     """Wind on the segments, as the disturbance ``segment-wind`` has it."""
 
-    mean_speed_m_s: float = Field(default=1.0, gt=0, le=100)
-    turbulence_intensity: float = Field(default=0.5, gt=0, le=2)
-    length_scale_m: float = Field(default=5.0, gt=0)
+    mean_speed_m_s: float = Field(default=1.0, gt=0, le=100, description="U, over the mirror")
+    turbulence_intensity: float = Field(
+        default=0.5, gt=0, le=2, description="rms of the gusts over the mean speed"
+    )
+    length_scale_m: float = Field(default=5.0, gt=0, description="L, integral scale of the turbulence")
     stiffness_n_um: float = Field(default=10.0, gt=0, description="static force over motion of a segment")
 
 
 class ErrorsSection(Section):
     """What the controller does not know of mirror and sensors: rms of independent relative errors."""
 
-    sensor_gain: float = Field(default=0.02, ge=0, lt=1)
-    actuator_gain: float = Field(default=0.05, ge=0, lt=1)
+    sensor_gain: float = Field(
+        default=0.02, ge=0, lt=1, description="of each edge sensor, reading per displacement"
+    )
+    actuator_gain: float = Field(default=0.05, ge=0, lt=1, description="of each actuator, stroke per command")
     entries: float = Field(default=1e-3, ge=0, lt=1, description="of every entry of the interaction matrix")
     arm: float = Field(
         default=0.1, ge=0, lt=1, description="of all dihedral arms together: gaps of another width"
@@ -129,7 +137,7 @@ class PeakSection(Section):
 class SegmentControlCampaign(CampaignSection):
     """How many errors to draw."""
 
-    cases: int = Field(default=8, ge=1, le=1_000_000)
+    cases: int = Field(default=8, ge=1, le=1_000_000, description="draws of the errors")
 
 
 class SegmentControlStudy(Study):
@@ -146,7 +154,5 @@ class SegmentControlStudy(Study):
     @field_validator("mode")
     @classmethod
     def _names_differ(cls, value: tuple[SeenMode, ...]) -> tuple[SeenMode, ...]:
-        names = [one.name for one in value]
-        if twice := next((name for name in names if names.count(name) > 1), None):
-            raise ValueError(f"two modes are called {twice!r}; each needs a name of its own")
+        require_own_names("mode", value)
         return value

@@ -11,6 +11,8 @@ from wavequake.chain.loops.block import Actuator
 from wavequake.chain.loops.design import Shaken
 from wavequake.chain.loops.designed import Designed
 from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.sensors.camera import Camera
+from wavequake.chain.loops.sensors.slopes import SlopeSensor
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
 from wavequake.mechanics.assembly.answers import moved as split_outputs
@@ -19,6 +21,7 @@ from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem
 from wavequake.workflows.bodies.nodes import moved_nodes, node_columns, with_nodes
 from wavequake.workflows.bodies.shaken import shaken_bodies
 from wavequake.workflows.loops.pushing import pushing_of
@@ -122,6 +125,7 @@ def optics_of(study: SystemLoopStudy) -> SystemOptics:
     """
     bench = prepare(study.disturbed)
     system = bench.system
+    _require_even_light(study, system)
     prepared = bench.prepared[0][system.primary_wavelength]
     first_order = paraxial(system, prepared.wavelength)
     mm = first_order.focal_length * RAD_PER_MAS if np.isinf(system.object_distance) else 1.0 / NM_PER_MM
@@ -156,6 +160,16 @@ def optics_of(study: SystemLoopStudy) -> SystemOptics:
     shown = _shown(bare, pushing.outputs)
     answer = Answer(pushing.names, pushing.dynamics, None, shown, pushing.drives)
     return SystemOptics(bench, light, mm, gain, sights, times, shaken, (answer,), pushing.outputs)
+
+
+def _require_even_light(study: SystemLoopStudy, system: OpticalSystem) -> None:
+    """Raise UserError if a sensor that takes the pupil as evenly lit looks at one that is not."""
+    for one in study.sensor:
+        if system.pupil.apodization is not None and isinstance(one, Camera | SlopeSensor):
+            raise UserError(
+                f"sensor.{one.name}: the pupil of {system.name} is apodized, but the sensor {one.model} "
+                "knows evenly lit ones alone; take line-of-sight or wavefront."
+            )
 
 
 def _shown(optics: SystemOptics, outputs: Array) -> Array:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import Fixed
@@ -26,6 +25,7 @@ from wavequake.control.sampled.stability import SampledLoop
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import ElementMotion, add_elements
+from wavequake.workflows.disturbed_study import case_labels
 from wavequake.workflows.loops.curves import curve_axes, curves, shown, spectrum
 from wavequake.workflows.loops.loop_margins import Makers, linear_loops
 from wavequake.workflows.loops.pushing import pushing_notices
@@ -241,11 +241,6 @@ def describe(bench: Bench) -> dict[str, str]:
 def loops(study: SystemLoopStudy) -> Makers:
     """Return every linear controller that acts, each alone."""
     return linear_loops(study, optics_of(study))
-
-
-def case_labels(study: SystemLoopStudy, cases: NDArray[np.int64]) -> CaseTable:
-    """Return the labels of cases."""
-    return system_disturbance.case_labels(study, cases)
 
 
 def notices(study: SystemLoopStudy) -> Iterator[str]:

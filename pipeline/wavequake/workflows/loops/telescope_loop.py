@@ -18,9 +18,10 @@ from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import frame_axes
 from wavequake.chain.images.coherent import mean_image
-from wavequake.chain.images.extended import lit_object_words, object_image
+from wavequake.chain.images.extended import image_measures, object_image
 from wavequake.chain.loops.answers import dynamics_of, put_all
 from wavequake.chain.loops.designed import Designed, design_notices, readings_of
+from wavequake.chain.sampling import slots
 from wavequake.control.linear import Array
 from wavequake.control.sampled.run import run
 from wavequake.errors import UserError
@@ -54,7 +55,7 @@ from wavequake.workflows.loops.telescope_light import (
 )
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.loops.traced_light import beyond_linear
-from wavequake.workflows.segments.launches import CaseDraw, slots, surface_states
+from wavequake.workflows.segments.launches import CaseDraw, surface_states
 
 # Of what is seen of bodies, how far straight lines between instants may be off.
 _STRAIGHT = 0.02
@@ -248,10 +249,6 @@ _OF_TRACES = (
     ("traced_los", "mas", "the same of traced rays, at some instants", ("traced", "axis")),
     ("light_error_wfe_rms", "nm", "largest difference of linear and traced wavefront error rms", ()),
     ("light_error_los", "mas", "largest difference of linear and traced line of sight", ()),
-    ("exposure", "1", "mean image of the traced instants; 1 = peak of the perfect one", ("y", "x")),
-    ("peak", "1", "largest irradiance of the exposure", ()),
-    ("ee50", "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame", ()),
-    ("ee80", "lambda/D", "radius of 80 % encircled energy of the exposure; inf beyond the frame", ()),
 )
 
 
@@ -260,9 +257,9 @@ def measures(bench: Bench) -> Iterable[Measure]:
     yield stored("time_s", "s", "time of the instant", ("time",), coordinate=True)
     for name, units, words, dims in _MEASURES + (_OF_TRACES if bench.study.look.traced else ()):
         yield stored(name, units, words, ("controller", *dims))
-    if bench.study.object is not None:
-        words = "exposed image of " + lit_object_words(bench.study.object)
-        yield stored("object_image", "1", words, ("controller", "y", "x"))
+    if bench.study.look.traced:
+        words = "mean image of the traced instants; 1 = peak of the perfect one"
+        yield from image_measures(("controller",), bench.study.object, words=words)
 
 
 def axes(bench: Bench) -> Mapping[str, Axis]:

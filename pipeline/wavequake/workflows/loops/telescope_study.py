@@ -5,8 +5,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from wavequake.campaign.schema import Section
-from wavequake.chain.loops.blocks import LoopBlocks, require_own_names
+from wavequake.campaign.schema import Section, require_own_names
+from wavequake.chain.loops.blocks import LoopBlocks
 from wavequake.chain.loops.structure import CarryingMode
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.study import SegmentStudy

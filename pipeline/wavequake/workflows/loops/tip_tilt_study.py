@@ -34,7 +34,10 @@ class LoopSection(Section):
         default=(100.0, 500.0, 1000.0), min_length=1, strict=False, description="frames per second"
     )
     controllers: tuple[Literal["integrator", "lqg"], ...] = Field(
-        default=("integrator", "lqg"), min_length=1, strict=False
+        default=("integrator", "lqg"),
+        min_length=1,
+        strict=False,
+        description="which ones close the loop, at each rate",
     )
     delay_frames: int = Field(
         default=2, ge=1, le=10, description="1: what a frame shows acts in the next one"
@@ -75,7 +78,9 @@ class SimulatedSection(Section):
 class TipTiltCampaign(CampaignSection):
     """How much of the study to run: realizations of every controller at every rate."""
 
-    cases: int = Field(default=120, ge=1, le=1_000_000)
+    cases: int = Field(
+        default=120, ge=1, le=1_000_000, description="realizations, each of every controller at every rate"
+    )
 
 
 class TipTiltStudy(Study):

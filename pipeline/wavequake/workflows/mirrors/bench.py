@@ -29,6 +29,7 @@ from wavequake.reduction.own import own_model
 from wavequake.reduction.two_stage import check_variants, covers, reduce_variants, reference
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
 from wavequake.workflows.mirrors.base import CLAMPED, driven, on_moving_base
+from wavequake.workflows.mirrors.compared_models import variant_labels
 from wavequake.workflows.mirrors.imported_facts import facts, frequencies
 from wavequake.workflows.mirrors.model_store import (
     DAMPING,
@@ -123,12 +124,7 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
     """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
     study = any_study_of(study_text)
     rows = cases_of(study)[first:last]
-    return {
-        "model": np.array([model for model, _ in rows], dtype=object),
-        "variant": np.array([variant for _, variant in rows], dtype=object),
-        "method": np.array([method_of(study, one) for _, one in rows], dtype=object),
-        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
-    }
+    return variant_labels(rows, [method_of(study, one) for _, one in rows], study.study.seed)
 
 
 @prepared(maxsize=4)
@@ -172,7 +168,7 @@ def answers_of(text: str, name: str) -> Answers:
         study, bench = study_of(text), bench_of(text, name)
         chosen = variant_of(bench, study.reduction.reference)
         rows = optical_rows(bench.optics, chosen)
-        frequencies = frequencies_of(study)
+        frequencies = study.reduction.hertz
         return Answers(
             reference=chosen,
             mechanical=receptance(chosen, frequencies),
@@ -201,21 +197,10 @@ def variant_of(bench: Bench, variant: str) -> ReducedModel:
     return reduce_variants(bench.stage, [variant], full)[0]
 
 
-def frequencies_of(study: MirrorStudy) -> Array:
-    """Return the frequencies of a study, Hz."""
-    section = study.reduction
-    return np.asarray(np.linspace(section.first_hz, section.last_hz, section.frequencies), dtype=np.float64)
-
-
-def time_of(study: AnyMirrorStudy) -> Array:
-    """Return the instants of a study, s."""
-    return np.arange(study.time.instants, dtype=np.float64) * study.time.step_s
-
-
 def drive_at(excitation: AnyExcitation, model: ReducedModel | Intermediate, study: AnyMirrorStudy) -> Drive:
     """Return the inputs that an excitation of a study is at the interfaces of a model."""
     interfaces = len(model.interfaces)
-    return drive_of(excitation, interfaces, time_of(study), study.study.seed, turns=rotations(model))
+    return drive_of(excitation, interfaces, study.time.seconds, study.study.seed, turns=rotations(model))
 
 
 def check_variants_of(study: AnyMirrorStudy, bench: Bench, variants: tuple[str, ...]) -> None:
@@ -321,7 +306,7 @@ def aberrations_over_time(study: MirrorStudy, model: ReducedModel, rows: Array) 
 
 def over_time(study: MirrorStudy, model: ReducedModel, *rows: Array) -> list[Array]:
     """Return what rows (m, r) give of a model's coordinates under every excitation, (excitation, time, m)."""
-    time = time_of(study)
+    time = study.time.seconds
     found: list[list[Array]] = [[] for _ in rows]
     forms: list[tuple[ReducedModel, ModalModel]] = []  # excitations mostly hold the model alike
     for excitation in study.excitation:

@@ -1,6 +1,7 @@
 """Reduced models that stand beside the full one as cases, and how far they are from it."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +10,7 @@ from pydantic import Field, field_validator
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measures import Measure, stored
 from wavequake.campaign.schema import Section
-from wavequake.errors import UserError
-from wavequake.reduction.names import parse
-from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.mirrors.study import FULL, canonical
 
 Array = NDArray[np.float64]
 
@@ -50,12 +49,16 @@ class ComparedSection(Section):
         return names
 
 
-def canonical(name: str) -> str:
-    """Return the canonical name of a reduced model, or "full"; ValueError if it is none."""
-    try:
-        return name if name == FULL else str(parse(name))
-    except UserError as error:
-        raise ValueError(str(error).rstrip(".")) from None
+def variant_labels(
+    rows: Sequence[tuple[str, str]], methods: Sequence[str], seed: int
+) -> dict[str, NDArray[Any]]:
+    """Return the labels of cases that are variants of models: model, variant, its method and the seed."""
+    return {
+        "model": np.array([model for model, _ in rows], dtype=object),
+        "variant": np.array([variant for _, variant in rows], dtype=object),
+        "method": np.array(methods, dtype=object),
+        "seed": np.full(len(rows), seed, dtype=np.int64),
+    }
 
 
 def model_errors(

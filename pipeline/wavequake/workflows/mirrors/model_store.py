@@ -7,6 +7,7 @@ be removed at any time; an imported model then has to be imported again, by load
 import hashlib
 import json
 import os
+import re
 import uuid
 import zipfile
 from collections.abc import Callable, Mapping
@@ -97,7 +98,7 @@ def keep_imported(keys: Mapping[str, Any], base: Path, section_name: str = "mode
         contents.update(key.encode() + np.ascontiguousarray(packed[key]).tobytes())
     name = digest({"contents": contents.hexdigest()})
     kept = _read(name)
-    if kept is None or _NOTES not in kept:
+    if kept is None or _NOTES not in kept or kept["name"] != packed["name"]:
         _write(name, packed | {_NOTES: np.array(imported.notes, dtype=np.str_)})
     return name
 
@@ -122,6 +123,28 @@ def kept_model(name: str) -> FiniteElementModel:
 def kept_notes(name: str) -> tuple[str, ...]:
     """Return what the import did to a model that its author may want to know."""
     return tuple(map(str, (_read(name) or {}).get(_NOTES, ())))
+
+
+def shown_name(content: str | None, name: str) -> str:
+    """Return what to call a model: an imported one by its file, without its ending.
+
+    A study's identity does not hold that name, so labels in a store are "file", and that is what is shown on
+    a machine that does not keep the model.
+
+    Parameters
+    ----------
+    content : str, optional
+        Hash of the imported model; None: it is built in.
+    name : str
+        Its label in the store.
+    """
+    if content is None:
+        return name
+    try:
+        with np.load(model_folder() / f"{content}.npz", allow_pickle=False) as file:
+            return re.sub(r"[^\w.-]+", "-", str(file["name"])).strip("-") or name
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        return name
 
 
 def _packed(model: FiniteElementModel | Intermediate) -> Arrays:

@@ -33,14 +33,12 @@ from wavequake.workflows.mirrors.bench import (
     case_table,
     cases_of,
     check_variants_of,
-    frequencies_of,
     imager_of,
     import_notices,
     import_record,
     over_time,
     spot_check,
     study_of,
-    time_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.compared_models import (
@@ -49,6 +47,7 @@ from wavequake.workflows.mirrors.compared_models import (
     reduction_measures,
     wavefront_rms,
 )
+from wavequake.workflows.mirrors.model_store import shown_name
 from wavequake.workflows.mirrors.optics import Optics, figure_rows, mode_residuals, optical_rows
 from wavequake.workflows.mirrors.shapes import (
     MOST_TERMS,
@@ -89,7 +88,7 @@ def judged(
     reduced = answers.reference if is_reference else variant_of(bench, variant)
     optics = bench.optics
     rows = optical_rows(optics, reduced)
-    frequencies = frequencies_of(study)
+    frequencies = study.reduction.hertz
     mechanical, (frf_opt, eps_opt) = (
         receptance(reduced, frequencies),
         eps_of(answers.optical, reduced, frequencies, rows[3:]),
@@ -233,8 +232,8 @@ def _measures() -> Iterator[Measure]:
 
 def _axes(study: MirrorStudy) -> dict[str, Axis]:
     return {
-        "frequency": Axis(frequencies_of(study), "frequency", "Hz"),
-        "time": Axis(time_of(study), "time", "s"),
+        "frequency": Axis(study.reduction.hertz, "frequency", "Hz"),
+        "time": Axis(study.time.seconds, "time", "s"),
         "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
         "term": Axis(np.arange(1, terms_of(study) + 1), "Noll index of a shape"),
         "noll": Axis(np.arange(2, SHOWN_TERMS + 1), "Noll index"),
@@ -254,7 +253,7 @@ def describe(study_text: str) -> dict[str, str]:
         stage = bench_of(study_text, name).stage
         frequencies, errors = spot_check(study, name)
         worst = f", at most {errors.max():.1e} off the full model" if len(errors) else ""
-        lines[f"model {name}"] = (
+        lines[f"model {shown_name(study.model.content, name)}"] = (
             f"{stage.full_order} degrees of freedom, intermediate {stage.order}{worst}"
             + (f" at {', '.join(f'{one:.0f}' for one in frequencies)} Hz" if len(errors) else "")
         )

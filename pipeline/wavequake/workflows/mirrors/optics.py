@@ -92,8 +92,7 @@ def optics_of(study: AnyMirrorStudy, name: str, stage: Intermediate) -> Optics:
         towards the light or is not centered about the z axis.
     """
     nodes = stage.nodes[stage.surface_nodes] * MM_PER_M
-    shape, focal_length = _reference_surface(study, name, nodes, stage.surface_weights)
-    radius, obscuration = _pupil_of(study, name, nodes, stage.surface_weights)
+    shape, focal_length, radius, obscuration = surface_of(study, name, nodes, stage.surface_weights)
     terms = study.optics.zernike_terms or min(_TERMS.get(name, _MOST_TERMS), len(nodes) // _NODES_PER_TERM)
     if len(nodes) < terms:
         raise UserError(
@@ -118,6 +117,27 @@ def optics_of(study: AnyMirrorStudy, name: str, stage: Intermediate) -> Optics:
         sensitivity=sensitivity,
         seconds=time.perf_counter() - start,
     )
+
+
+def surface_of(
+    study: AnyMirrorStudy, name: str, nodes: Array, weights: Array
+) -> tuple[Conic, float, float, float]:
+    """Return the undeformed surface, the system's focal length and the pupil's radius (mm), its obscuration.
+
+    Parameters
+    ----------
+    study : AnyMirrorStudy
+    name : str
+        Of the model.
+    nodes, weights : ndarray, shape (n, 3) and (n,)
+        Of the optical surface, mm; the areas of its nodes, in any unit.
+
+    Raises
+    ------
+    UserError
+        If the mirror has no focal length, bulges towards the light or is not centered about the z axis.
+    """
+    return *_reference_surface(study, name, nodes, weights), *_pupil_of(study, name, nodes, weights)
 
 
 def _reference_surface(study: AnyMirrorStudy, name: str, nodes: Array, weights: Array) -> tuple[Conic, float]:

@@ -8,20 +8,33 @@ from wavequake.campaign.schema import Section
 from wavequake.mechanics.mirrors.material import GLASS_CERAMIC
 from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
 from wavequake.mechanics.model import RayleighDamping
-from wavequake.workflows.mirrors.compared_models import canonical
-from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.mirrors.study import FULL, canonical
 
 
 class SegmentModelSection(Section):
     """The segment: a hexagonal meniscus on three supports; its side is that of the telescope's segments."""
 
-    thickness_m: float = Field(default=0.045, gt=0, le=100)
+    thickness_m: float = Field(
+        default=0.045, gt=0, le=100, description="of the meniscus; 45 mm is an example"
+    )
     mount_radius_m: float | None = Field(
         default=None, gt=0, description="of the supports, toward every other corner; default: 0.6 of the side"
     )
-    youngs_modulus_pa: float = Field(default=GLASS_CERAMIC.young, gt=0, le=1e16)
-    poisson_ratio: float = Field(default=GLASS_CERAMIC.poisson, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=GLASS_CERAMIC.density, ge=1e-3, le=1e6)
+    youngs_modulus_pa: float = Field(
+        default=GLASS_CERAMIC.young,
+        gt=0,
+        le=1e16,
+        description="stress over strain, elastic; default: glass ceramic",
+    )
+    poisson_ratio: float = Field(
+        default=GLASS_CERAMIC.poisson,
+        gt=-1,
+        lt=0.5,
+        description="transverse contraction over extension; default: glass ceramic",
+    )
+    density_kg_m3: float = Field(
+        default=GLASS_CERAMIC.density, ge=1e-3, le=1e6, description="of the glass; default: glass ceramic"
+    )
     support: Literal["springs", "rigid"] = Field(
         default="springs",
         description="springs: displacements move their far ends; rigid: displacements are prescribed",
@@ -50,7 +63,9 @@ class SegmentModelSection(Section):
 class ElasticSegmentSection(SegmentModelSection):
     """One model that stands for every segment of M1."""
 
-    support: Literal["springs"] = "springs"
+    support: Literal["springs"] = Field(
+        default="springs", description="always springs, whose far ends displacements move"
+    )
     reduced: str = Field(
         default=FULL, description="model that is taken, e.g. craigb18; full: the intermediate model"
     )

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     Field,
@@ -13,7 +15,14 @@ from pydantic import (
     model_validator,
 )
 
-from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, text_of
+from wavequake.campaign.schema import (
+    CampaignSection,
+    Section,
+    StoreSection,
+    Study,
+    require_own_names,
+    text_of,
+)
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.checks import Triangle
 from wavequake.mechanics.importers.model import PAD_DOFS, PADS, TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
@@ -33,17 +42,30 @@ class ModelSection(Section):
     shapes: tuple[Literal["circular", "annular"], ...] = Field(
         default=("circular",), strict=False, description="built-in mirrors; left out where a file is given"
     )
-    diameter_m: float = Field(default=1.0, gt=0)
+    diameter_m: float = Field(default=1.0, gt=0, description="outer one of the mirror")
     inner_diameter_m: float = Field(default=0.4, gt=0, description="of the annular mirror")
-    thickness_m: float = Field(default=0.02, gt=0, le=100)
+    thickness_m: float = Field(default=0.02, gt=0, le=100, description="of the mirror, the same everywhere")
     focal_length_m: float = Field(
         default=1.7, gt=0, description="of the parabola; it puts the defocus mode of the defaults at 295 Hz"
     )
-    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e16)
-    poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=2700.0, ge=1e-3, le=1e6)
+    youngs_modulus_pa: float = Field(
+        default=70e9, gt=0, le=1e16, description="stress over strain, elastic; default: aluminium"
+    )
+    poisson_ratio: float = Field(
+        default=0.33, gt=-1, lt=0.5, description="transverse contraction over extension; default: aluminium"
+    )
+    density_kg_m3: float = Field(
+        default=2700.0,
+        ge=1e-3,
+        le=1e6,
+        description="of the mirror; default: aluminium, as in the reference text",
+    )
     mount_radius_m: float = Field(default=0.333, gt=0, description="of the interface nodes on the rear face")
-    mount_angles_deg: tuple[float, ...] = Field(default=(0.0, 120.0, 240.0), strict=False)
+    mount_angles_deg: tuple[float, ...] = Field(
+        default=(0.0, 120.0, 240.0),
+        strict=False,
+        description="of the interface nodes, from x; default: 120 deg apart",
+    )
     damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
     damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
     rings: int | None = Field(
@@ -113,7 +135,7 @@ class VariantsSection(Section):
     def _variants_are_canonical(cls, value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
         own = info.data.get("own_files", {})
         names = tuple(
-            name if name in own else _canonical(name)
+            name if name in own else canonical(name, or_full=False)
             for one in value
             for name in ([one] if one in own else _orders_of(one))
         )
@@ -145,11 +167,16 @@ class ReductionSection(VariantsSection):
     """Which variants are compared, and over which frequencies."""
 
     reference: str = Field(default=FULL, description="what errors refer to: 'full', or a variant")
-    first_hz: float = Field(default=5.0, gt=0)
-    frequencies: int = Field(default=600, ge=2, le=20000)
+    first_hz: float = Field(default=5.0, gt=0, description="lower end of the band that is compared")
+    frequencies: int = Field(default=600, ge=2, le=20000, description="evenly spread over the band")
     spot_checks: int = Field(
         default=3, ge=0, le=50, description="frequencies at which the sweep's basis is checked in full"
     )
+
+    @property
+    def hertz(self) -> NDArray[np.float64]:
+        """The frequencies (n,) at which they are compared, Hz."""
+        return np.asarray(np.linspace(self.first_hz, self.last_hz, self.frequencies))
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -159,7 +186,7 @@ class ReductionSection(VariantsSection):
     @field_validator("reference")
     @classmethod
     def _reference_is_canonical(cls, value: str) -> str:
-        return value if value == FULL else _canonical(value)
+        return canonical(value)
 
     @model_validator(mode="after")
     def _frequencies_rise(self) -> "ReductionSection":
@@ -176,9 +203,10 @@ def _orders_of(name: str) -> list[str]:
         raise ValueError(str(error).rstrip(".")) from None
 
 
-def _canonical(name: str) -> str:
+def canonical(name: str, or_full: bool = True) -> str:
+    """Return the canonical name of a reduced model, or "full"; ValueError if it is none."""
     try:
-        return str(parse(name))
+        return name if or_full and name == FULL else str(parse(name))
     except UserError as error:
         raise ValueError(str(error).rstrip(".")) from None
 
@@ -186,13 +214,18 @@ def _canonical(name: str) -> str:
 class TimeSection(Section):
     """Instants of the time response."""
 
-    duration_s: float = Field(default=0.02, gt=0)
-    step_s: float = Field(default=1e-4, gt=0)
+    duration_s: float = Field(default=0.02, gt=0, description="from rest to the last instant")
+    step_s: float = Field(default=1e-4, gt=0, description="between two instants")
 
     @property
     def instants(self) -> int:
         """Number of instants, the first at 0."""
         return round(self.duration_s / self.step_s) + 1
+
+    @property
+    def seconds(self) -> NDArray[np.float64]:
+        """The instants (n,), s."""
+        return np.arange(self.instants, dtype=np.float64) * self.step_s
 
     @model_validator(mode="after")
     def _has_instants(self) -> "TimeSection":
@@ -204,8 +237,8 @@ class TimeSection(Section):
 class MirrorOpticsSection(Section):
     """Light on the mirror: a star on the axis, imaged at the focus."""
 
-    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
-    rays: int = Field(default=1000, ge=50, le=200_000)
+    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6, description="of the light; default: green")
+    rays: int = Field(default=1000, ge=50, le=200_000, description="evenly spread over the mirror")
     zernike_terms: int | None = Field(
         default=None,
         ge=6,
@@ -232,9 +265,11 @@ class TraceOpticsSection(MirrorOpticsSection):
 class MirrorImagingSection(Section):
     """The exposure over the time response."""
 
-    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
+    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2, description="along one side of the image")
     sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
-    pupil_samples: int = Field(default=96, ge=16, le=1024)
+    pupil_samples: int = Field(
+        default=96, ge=16, le=1024, description="points of the wavefront along the diameter"
+    )
     instants: int = Field(default=101, ge=1, le=100_000, description="at most, evenly spread")
     scale: float = Field(default=1.0, gt=0, description="of the wavefront: exaggerates small vibrations")
 
@@ -242,7 +277,9 @@ class MirrorImagingSection(Section):
 class CriterionSection(Section):
     """When a variant is good enough."""
 
-    measure: Literal["wfe", "los", "image"] = "wfe"
+    measure: Literal["wfe", "los", "image"] = Field(
+        default="wfe", description="error that decides: of wavefront, line of sight or image"
+    )
     largest: float = Field(
         default=0.01,
         gt=0,
@@ -266,10 +303,7 @@ class MirrorStoreSection(StoreSection):
 
 
 def _names_are_unique(value: tuple[Any, ...]) -> tuple[Any, ...]:
-    names = [entry.name for entry in value]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"two excitations are called {name!r}; each needs a name of its own")
+    require_own_names("excitation", value)
     return value
 
 

@@ -36,11 +36,11 @@ from wavequake.workflows.mirrors.bench import (
     drive_at,
     import_notices,
     import_record,
-    time_of,
     trace_study_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.compared_models import variant_measures, wavefront_rms
+from wavequake.workflows.mirrors.model_store import shown_name
 from wavequake.workflows.mirrors.optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 from wavequake.workflows.mirrors.residual import (
     Residual,
@@ -96,7 +96,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
 
 def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
     """Return all stored numbers of one variant."""
-    reduced, optics, instants = variant_of(bench, variant), bench.optics, time_of(study)
+    reduced, optics, instants = variant_of(bench, variant), bench.optics, study.time.seconds
     left, residual, set_up = left_by(optics, reduced), None, Stopwatch()
     with set_up("fits of coordinates"):
         motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))
@@ -287,7 +287,7 @@ def _measures() -> Iterator[Measure]:
 
 def _axes(study: TraceStudy) -> dict[str, Axis]:
     return {
-        "time": Axis(time_of(study), "time", "s"),
+        "time": Axis(study.time.seconds, "time", "s"),
         "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
         "axis": Axis(["x", "y"], "axis of the image plane"),
         "stage": Axis(STAGES, "stage of the computation"),
@@ -305,7 +305,7 @@ def describe(study_text: str) -> dict[str, str]:
     lines = {}
     for name in study.models:
         bench = bench_of(study_text, name)
-        lines[f"model {name}"] = (
+        lines[f"model {shown_name(study.model.content, name)}"] = (
             f"{bench.stage.full_order} degrees of freedom, {counted(study.time.instants, 'instant')} of "
             f"{study.optics.rays} rays, {bench.optics.terms} Zernike terms"
         )

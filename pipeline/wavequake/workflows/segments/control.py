@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE, ChunkResult
 from wavequake.campaign.one_by_one import unknown_arrays
+from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.workflows.segments.modal import modal_cases
 from wavequake.workflows.segments.study import SegmentStudy, without_images
@@ -26,10 +27,8 @@ _MODAL = {
 }
 
 
-def modal_numbers(study: SegmentStudy, cases: NDArray[np.int64], device: str) -> dict[str, Array]:
-    """Return the MEASURES (case,) of cases by the modal model: rms over instants, of vectors the length's.
-
-    Zero where the model does not know what moves.
+def modal_partner(study: Study) -> SegmentStudy:
+    """Return the study of the modal model that stands beside traced cases.
 
     Raises
     ------
@@ -46,8 +45,15 @@ def modal_numbers(study: SegmentStudy, cases: NDArray[np.int64], device: str) ->
     study.require_one_place("The modal model is")
     if study.rare is not None:
         raise UserError("Cases near a limit have no means of their own; take wavequake rare.")
-    made = study_with(without_images(study), _MODAL)
-    result = modal_cases(made.identity_text(), cases, device, _untraced)
+    return study_with(without_images(study), _MODAL)
+
+
+def modal_numbers(partner: SegmentStudy, cases: NDArray[np.int64], device: str) -> dict[str, Array]:
+    """Return the MEASURES (case,) of cases of a modal partner: rms over instants, of vectors the length's.
+
+    Zero where the model does not know what moves.
+    """
+    result = modal_cases(partner.identity_text(), cases, device, _untraced)
     found = {}
     for name in MEASURES:
         squares = result.arrays[name] ** 2

@@ -18,8 +18,7 @@ from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import require_pixels
 from wavequake.chain.images.extended import check_object
-from wavequake.chain.sampling import replicate_labels
-from wavequake.chain.uncertain import shared_models
+from wavequake.chain.sampling import slots
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import padded
@@ -37,6 +36,7 @@ from wavequake.optics.segments.wavefront import analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.bodies.plants import standing
+from wavequake.workflows.disturbed_study import case_labels
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.bench import (
     MAS_PER_RAD,
@@ -61,7 +61,6 @@ from wavequake.workflows.segments.launches import (
     launches,
     lost_segment,
     put_states,
-    slots,
     states_at_rest,
     traced_instants,
 )
@@ -250,18 +249,7 @@ def _record(
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
     """Return the labels of cases first <= id < last: disturbance, realization and seed."""
-    study = study_from_identity(SegmentStudy, study_text)
-    which, places = slots([entry.share for entry in study.disturbance], np.arange(first, last))
-    realizations, model = np.divmod(places, len(study.compared))
-    models = {"reduction": np.array(study.compared, dtype=object)[model]}
-    return {
-        "disturbance": np.array([entry.name for entry in study.disturbance], dtype=object)[which],
-        **(models if study.reduction is not None else {}),
-        "realization": realizations,
-        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
-        **replicate_labels(study.campaign, realizations),
-        **shared_models(study.structure.uncertain if study.structure else None, realizations),
-    }
+    return case_labels(study_from_identity(SegmentStudy, study_text), np.arange(first, last))
 
 
 def describe(study_text: str) -> dict[str, str]:

@@ -1,14 +1,12 @@
 """Cases of a segmented telescope: which each is, and in which launches of whole tiles they are traced."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.device.tiles import TILE, padded
-from wavequake.mechanics.disturbances.population import Population
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion
 from wavequake.optics.segments.telescope import M2
 from wavequake.optics.systems.bodies import rigid_body, with_bodies
@@ -24,23 +22,6 @@ Array = NDArray[np.float64]
 # more is the system's to find and to clear, launch by launch: a sixth of a campaign.
 _LAUNCH_TILES = 8
 _TO_MM = np.repeat([MM_PER_M, 1.0], 3)
-
-Kind = TypeVar("Kind", bound=Population)
-
-
-def slots(shares: Sequence[int], cases: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the index of the population and the realization of each case.
-
-    Cases repeat a pattern in which population p has ``shares[p]`` rows, so that adding cases changes no
-    earlier one, and the n-th case of every population is realization n: comparisons between populations are
-    paired.
-    """
-    rows = np.asarray(shares, dtype=np.int64)
-    pattern = np.repeat(np.arange(len(rows)), rows)
-    first = np.cumsum(rows) - rows
-    round_, place = np.divmod(cases, len(pattern))
-    population = pattern[place]
-    return population, round_ * rows[population] + place - first[population]
 
 
 @dataclass(frozen=True)
@@ -125,12 +106,6 @@ def lost_segment(system: OpticalSystem, drawn: CaseDraw, wavefront: Wavefront, p
         f"segment {system.segments.names[segment]} lost all its rays at instant {instant} "
         f"(t = {drawn.time[instant]:.4g} s): its motion takes its glass out of the beam"
     )
-
-
-def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
-    """Return the population and realization of a case, see `case_pattern.slots`."""
-    which, realization = slots([population.share for population in populations], np.array([case]))
-    return populations[which[0]], int(realization[0])
 
 
 def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> States:

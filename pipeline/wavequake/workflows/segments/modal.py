@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 from wavequake.campaign.contract import DONE, ChunkResult
 from wavequake.campaign.one_by_one import unknown_arrays
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.sampling import slots
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.opencl import Device
 from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion, instants_of, time_axis
 from wavequake.mechanics.disturbances.source import TOGETHER
 from wavequake.mechanics.disturbances.sources.common_history import (
     CommonHistory,
-    amplitude_generator,
     amplitudes,
+    amplitudes_of_run,
     history,
 )
 from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
@@ -29,7 +32,6 @@ from wavequake.optics.segments.modal import Forms, ModalModel
 from wavequake.optics.wavefronts.quality import meets_marechal
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.draws import draw_realization, draw_realizations, sampling_plan
-from wavequake.workflows.segments.launches import slots
 from wavequake.workflows.segments.model import knows, model_of, motion_rows
 from wavequake.workflows.segments.template import computed
 
@@ -63,7 +65,7 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
     """Compute the numbers of `cases` over their instants; `trace` computes cases in full."""
     bench, clock = bench_of(study_text), Stopwatch()
     study = bench.study
-    model = model_of(study_text, device_name)
+    model, device = model_of(study_text, device_name), choose_device(device_name)
     numbers = {name: one for name, one in computed(study_text).items() if one.dtype != "int8"}
     arrays = unknown_arrays(numbers, len(cases))
     which, realizations = slots([entry.share for entry in study.disturbance], cases)
@@ -72,7 +74,7 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
         at_once = max(_INSTANTS // population.instants, 1)
         for first in range(0, len(mine), at_once):
             rows = mine[first : first + at_once]
-            found = _found(bench, model, population, cases[rows], realizations[rows], clock)
+            found = _found(bench, model, population, cases[rows], realizations[rows], device, clock)
             with clock("modal"):
                 _record(bench, model, arrays, rows, instants_of(study.disturbance, population), found)
     status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
@@ -113,6 +115,7 @@ def _found(
     population: Disturbance,
     cases: Cases,
     realizations: Cases,
+    device: Device,
     clock: Stopwatch,
 ) -> _Found:
     """Draw cases of one population and return what they come to."""
@@ -123,7 +126,7 @@ def _found(
     with clock("draw"):
         if isinstance(population, CommonHistory):
             swing = history(population, time_axis(population))
-            _draw_pistons(bench, model, population, motions, rows, realizations)
+            _draw_pistons(bench, model, population, motions, rows, realizations, device)
         else:
             swing, first_instant = np.ones(population.instants), population.model_copy(update={"instants": 1})
             for k, realization in enumerate(realizations.tolist()):
@@ -150,6 +153,7 @@ def _draw_pistons(
     motions: Array,
     rows: Cases,
     realizations: Cases,
+    device: Device,
 ) -> None:
     """Draw the amplitudes of consecutive realizations at once."""
     if 2 not in model.dofs:  # no amplitude at all
@@ -157,19 +161,18 @@ def _draw_pistons(
     segments = len(bench.layout)
     first = model.dofs.index(2) * segments
     chosen = population.moving(bench.layout)
-    moving = 1.0 if chosen is None else chosen.astype(np.float64)
+    moving = MM_PER_M * (1.0 if chosen is None else chosen.astype(np.float64))
     plan = sampling_plan(bench.text)
     if plan.method != "random":
         for row, realization in zip(rows, realizations.tolist(), strict=True):
             point = plan.of(realization)(population.name)
             assert point is not None  # never left out of a plan
-            drawn = amplitudes(population, segments, point) * moving
-            motions[row, first : first + segments] = drawn[0] * MM_PER_M
+            motions[row, first : first + segments] = amplitudes(population, segments, point) * moving
         return
     for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(realizations) != 1) + 1):
-        start = amplitude_generator(population, segments, bench.study.study.seed, int(realizations[run[0]]))
-        drawn = amplitudes(population, segments, start, len(run)) * moving
-        motions[rows[run], first : first + segments] = drawn * MM_PER_M
+        begin = int(realizations[run[0]])
+        drawn = amplitudes_of_run(population, segments, bench.study.study.seed, begin, len(run), device)
+        motions[rows[run], first : first + segments] = drawn * moving
 
 
 def _separable(

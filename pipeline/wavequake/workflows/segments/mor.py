@@ -27,7 +27,7 @@ from wavequake.prepared import prepared
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import check_variants
-from wavequake.workflows.mirrors.compared_models import image_error
+from wavequake.workflows.mirrors.compared_models import image_error, variant_labels
 from wavequake.workflows.mirrors.segment_body import NM_PER_MM, height_rows
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
@@ -35,7 +35,6 @@ from wavequake.workflows.segments.images import summed_images
 from wavequake.workflows.segments.mor_bench import (
     SegmentModel,
     chosen_segments,
-    frequencies_of,
     model_of,
     motions,
     reduced,
@@ -106,7 +105,7 @@ def _mechanical(
     study: SegmentMorStudy, model: SegmentModel, variant: ReducedModel
 ) -> dict[str, Array | float]:
     """Return what one segment's model is worth by itself."""
-    frequencies = frequencies_of(study)
+    frequencies = study.reduction.hertz
     mechanical = receptance(variant, frequencies)
     optical = receptance(variant, frequencies, height_rows(model.fit, model.turn, variant))
     return {
@@ -233,12 +232,9 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
     """
     study = study_of(study_text)
     rows = cases_of(study)[first:last]
-    return {
-        "model": np.array([SHAKEN[disturbed] for disturbed, _ in rows], dtype=object),
-        "variant": np.array([variant for _, variant in rows], dtype=object),
-        "method": np.array([FULL if one == FULL else parse(one).method for _, one in rows], dtype=object),
-        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
-    }
+    methods = [FULL if variant == FULL else parse(variant).method for _, variant in rows]
+    named = [(SHAKEN[disturbed], variant) for disturbed, variant in rows]
+    return variant_labels(named, methods, study.study.seed)
 
 
 def describe(study_text: str) -> dict[str, str]:

@@ -78,7 +78,7 @@ def model_of(text: str) -> SegmentModel:
         bench = bench_of(telescope_study(study).identity_text())
         require_all_rays(bench.stopped, "so that there are no wavefronts of all segments to compare")
         body = segment_body(study.model, bench.system, study.reduction.last_hz, study.segments.figure_terms)
-        chosen, frequencies = variant_of(body, study.reduction.reference), frequencies_of(study)
+        chosen, frequencies = variant_of(body, study.reduction.reference), study.reduction.hertz
         return SegmentModel(
             stage=body.stage,
             full=body.full,
@@ -89,17 +89,6 @@ def model_of(text: str) -> SegmentModel:
             mechanical=receptance(chosen, frequencies),
             optical=receptance(chosen, frequencies, height_rows(body.fit, body.turn, chosen)),
         )
-
-
-def frequencies_of(study: SegmentMorStudy) -> Array:
-    """Return the frequencies of a study, Hz."""
-    section = study.reduction
-    return np.asarray(np.linspace(section.first_hz, section.last_hz, section.frequencies), dtype=np.float64)
-
-
-def time_of(study: SegmentMorStudy) -> Array:
-    """Return the instants of the time response, s."""
-    return np.arange(study.time.instants, dtype=np.float64) * study.time.step_s
 
 
 def traced_instants(study: SegmentMorStudy) -> NDArray[np.int64]:
@@ -146,7 +135,7 @@ def motions(
     alike but for the sign.
     """
     rows = motion_rows(model.fit, model.turn, variant)
-    time, instants = time_of(study), traced_instants(study)
+    time, instants = study.time.seconds, traced_instants(study)
     found = np.empty((len(study.excitation), len(instants), len(which), len(rows)))
     for number, excitation in enumerate(study.excitation):
         if isinstance(excitation, RandomVibration):

@@ -16,14 +16,19 @@ from wavequake.workflows.mirrors.study import (
     ReductionSection,
     TimeSection,
 )
-from wavequake.workflows.segments.study import ImagingSection, SegmentStudy, WavefrontSection
+from wavequake.workflows.segments.study import ImagingSection, SegmentStudy, SegmentWavefrontSection
 from wavequake.workflows.segments.telescope_section import OpticsSection, TelescopeSection
 
 
 class SegmentsSection(Section):
     """Which segments of the telescope are shaken, and how one differs from another."""
 
-    disturbed: tuple[Literal["one", "all"], ...] = Field(default=("one", "all"), min_length=1, strict=False)
+    disturbed: tuple[Literal["one", "all"], ...] = Field(
+        default=("one", "all"),
+        min_length=1,
+        strict=False,
+        description="one segment, all of them, or each of both",
+    )
     name: str | None = Field(default=None, description="the one segment; default: the first of the telescope")
     signs: Literal["random", "alike"] = Field(
         default="random",
@@ -49,15 +54,15 @@ class SegmentsSection(Section):
 class TracedTimeSection(TimeSection):
     """Instants of the time response, and how many of them are traced through the telescope."""
 
-    duration_s: float = Field(default=0.1, gt=0)
-    step_s: float = Field(default=5e-4, gt=0)
+    duration_s: float = Field(default=0.1, gt=0, description="from rest to the last instant")
+    step_s: float = Field(default=5e-4, gt=0, description="between two instants of the response")
     traced: int = Field(default=48, ge=1, le=4096, description="at most, evenly spread; 16 fill a tile")
 
 
 class SegmentMorOpticsSection(Section):
     """Light and rays, and the Zernike terms of the telescope's wavefront."""
 
-    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
+    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6, description="of the light; default: green")
     sampling: Literal["segments", "sunflower"] = Field(
         default="segments", description="rays over all glass, or over the annulus of the pupil"
     )
@@ -66,13 +71,15 @@ class SegmentMorOpticsSection(Section):
     )
     rays: int = Field(default=2000, ge=10, le=2_000_000, description="sunflower: rays over the annulus")
     field_arcmin: tuple[float, float] = Field(default=(0.0, 0.0), strict=False, description="of the star")
-    zernike_terms: int = Field(default=45, ge=4, le=MOST_TERMS)
+    zernike_terms: int = Field(
+        default=45, ge=4, le=MOST_TERMS, description="Noll coefficients fitted to the wavefront, from piston"
+    )
 
 
 class SegmentMorImagingSection(Section):
     """The exposure over the traced instants."""
 
-    pixels: int = Field(default=32, ge=8, le=512, multiple_of=2)
+    pixels: int = Field(default=32, ge=8, le=512, multiple_of=2, description="along one side of the image")
     sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
 
 
@@ -157,6 +164,6 @@ def telescope_study(study: SegmentMorStudy) -> SegmentStudy:
         telescope=study.telescope,
         disturbance=(StaticRandom(name="figure", figure_nm={study.segments.figure_terms: 0.0}, instants=1),),
         optics=optics,
-        wavefront=WavefrontSection(zernike_terms=study.optics.zernike_terms),
+        wavefront=SegmentWavefrontSection(zernike_terms=study.optics.zernike_terms),
         imaging=ImagingSection(pixels=study.imaging.pixels, sampling=study.imaging.sampling),
     )

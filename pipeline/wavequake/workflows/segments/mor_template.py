@@ -7,10 +7,8 @@ from wavequake.campaign.measures import Axis, Measure, stored, template_of
 from wavequake.chain.images.camera import frame_axes
 from wavequake.workflows.mirrors.compared_models import checked_models, reduction_measures
 from wavequake.workflows.segments.mor_bench import (
-    frequencies_of,
     spot_check,
     study_of,
-    time_of,
     traced_instants,
 )
 
@@ -19,8 +17,8 @@ def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_of(study_text)
     axes = {
-        "frequency": Axis(frequencies_of(study), "frequency", "Hz"),
-        "time": Axis(time_of(study)[traced_instants(study)], "time of the traced instants", "s"),
+        "frequency": Axis(study.reduction.hertz, "frequency", "Hz"),
+        "time": Axis(study.time.seconds[traced_instants(study)], "time of the traced instants", "s"),
         "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
         "axis": Axis(["x", "y"], "axis of the image plane"),
         **frame_axes(study.imaging.pixels, study.imaging.sampling),

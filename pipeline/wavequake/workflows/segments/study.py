@@ -8,75 +8,49 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
-    field_validator,
     model_serializer,
     model_validator,
 )
 
-from wavequake.campaign.schema import Section, StoreSection, Study, text_of
-from wavequake.chain.images.camera import DetectorSection, SharedImagingSection
-from wavequake.chain.images.extended import ObjectSection
+from wavequake.campaign.schema import Section, StoreSection, text_of
+from wavequake.chain.images.camera import SharedImagingSection
 from wavequake.chain.images.picture import embed_picture
-from wavequake.chain.sampling import SampledCampaignSection, whole_sets
+from wavequake.chain.sampling import whole_sets
 from wavequake.chain.sources import read_source_files
 from wavequake.chain.uncertain import require_independent_sets
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.registry import Combine, Disturbance, with_own_axes
+from wavequake.mechanics.disturbances.registry import Disturbance
 from wavequake.mechanics.disturbances.sources.base_motion import SegmentShaking
 from wavequake.mechanics.disturbances.sources.segment_wind import SegmentWind
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.shapes.polygon_table import read_polygons
-from wavequake.workflows.asked_sections import AllowSection, BudgetSection
 from wavequake.workflows.bodies.files import read_body_files
-from wavequake.workflows.bodies.sections import NO_MASS, BodySection, LinkSection
+from wavequake.workflows.bodies.sections import NO_MASS
 from wavequake.workflows.bodies.segment_sections import (
     ComparedSegmentsSection,
     SegmentStructureSection,
     UncertainSupports,
     without_bodies,
 )
+from wavequake.workflows.disturbed_study import DisturbedStudy, WavefrontSection
 from wavequake.workflows.mirrors.segment_section import ElasticSegmentSection
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.telescope_section import PLACES, OpticsSection, TelescopeSection
 
 
-class WavefrontSection(Section):
+class SegmentWavefrontSection(WavefrontSection):
     """What is fitted to the wavefront, and to what of it."""
 
-    zernike_terms: int = Field(default=45, ge=4, le=MOST_TERMS)
-    method: Literal["opd", "slopes"] = Field(
-        default="opd",
-        description="coefficients and line of sight from path lengths, or from ray slopes alone "
-        "(Störkle 2018, Eq. 4.20): these see tilts and figures, but no piston of a segment or of the pupil",
+    zernike_terms: int = Field(
+        default=45, ge=4, le=MOST_TERMS, description="Noll coefficients fitted to the wavefront, from piston"
     )
-    basis: Literal["annular", "circular"] = Field(
-        default="annular",
-        description="of the stored coefficients; circular ones are equivalent (Eq. 3.53), but the sum of "
-        "their squares is not the rms over the annulus, which stays that of the annular ones",
-    )
-    reference: Literal["chief", "fitted"] = Field(
-        default="chief",
-        description="center of the reference sphere in the image: where the virtual chief ray arrives, or "
-        "that of the sphere that fits the wavefront best (section 3.3.3; needs method opd)",
-    )
-
-    @model_validator(mode="after")
-    def _slopes_have_no_sphere(self) -> "WavefrontSection":
-        require_path_lengths(self.method, self.reference)
-        return self
-
-
-def require_path_lengths(method: str, reference: str) -> None:
-    """Raise ValueError if a sphere is to be fitted to wavefronts whose path lengths are not to be used."""
-    if method == "slopes" and reference == "fitted":
-        raise ValueError("reference = 'fitted' needs path lengths; choose method = 'opd' for it")
 
 
 class ImagingSection(SharedImagingSection):
     """The exposure of each case: mean of its instants' point spread functions."""
 
     enabled: bool = Field(default=True, description="false: no exposures, which are most of the work")
-    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
+    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2, description="along one side of the image")
     sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
     moments: Literal["auto", 1, 6, 15] = Field(
         default="auto", description="1: piston, 6/15: tip and tilt to 2nd/4th order"
@@ -132,7 +106,9 @@ class RareSection(Section):
 class SegmentStoreSection(StoreSection):
     """Where the results go, and what of them is kept."""
 
-    keep: tuple[Literal["segment_motion"], ...] = Field(default=(), strict=False)
+    keep: tuple[Literal["segment_motion"], ...] = Field(
+        default=(), strict=False, description="what to store beside the measures: motion of every segment"
+    )
 
     def identity_record(self) -> dict[str, object]:
         """Return all keys that say what is kept: stores of segmented telescopes always had them."""
@@ -140,28 +116,19 @@ class SegmentStoreSection(StoreSection):
         return always | super().identity_record()
 
 
-class SegmentStudy(Study):
+class SegmentStudy(DisturbedStudy):
     """A validated study file."""
 
-    campaign: SampledCampaignSection = SampledCampaignSection()
     telescope: TelescopeSection
     segment: ElasticSegmentSection | None = None
-    body: tuple[BodySection, ...] = Field(default=(), strict=False)
-    link: tuple[LinkSection, ...] = Field(default=(), strict=False)
     disturbance: tuple[Disturbance, ...] = Field(min_length=1, strict=False)
     optics: OpticsSection = OpticsSection()
-    wavefront: WavefrontSection = WavefrontSection()
+    wavefront: SegmentWavefrontSection = SegmentWavefrontSection()
     imaging: ImagingSection = ImagingSection()
     store: SegmentStoreSection = SegmentStoreSection()
     rare: RareSection | None = None
-    allow: AllowSection | None = None
-    detector: DetectorSection | None = None
-    object: ObjectSection | None = None
-    budget: BudgetSection | None = None
     structure: SegmentStructureSection | None = None
     reduction: ComparedSegmentsSection | None = None
-
-    asked: ClassVar[frozenset[str]] = frozenset({"allow", "budget"})
 
     @model_serializer(mode="wrap")
     def _no_sections_where_there_are_none(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -173,34 +140,9 @@ class SegmentStudy(Study):
                 record.pop(key, None)
         return record if self.body else without_bodies(record)
 
-    @field_validator("disturbance")
-    @classmethod
-    def _names_are_unique(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
-        names = [entry.name for entry in value]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two disturbances are called {name!r}; each needs a name of its own")
-        for entry in value:
-            chosen = getattr(entry, "of", ())
-            if not isinstance(entry, Combine):
-                twice = next((name for name in chosen if chosen.count(name) > 1), None)
-                if twice is not None:
-                    raise ValueError(f"{entry.name!r} names {twice!r} twice; name it once")
-                continue
-            if len(set(chosen)) < len(chosen):
-                raise ValueError(f"{entry.name!r} combines a disturbance with itself; name each one once")
-            for part in chosen:
-                if part not in names or part == entry.name:
-                    raise ValueError(
-                        f"{entry.name!r} combines {part!r}, which is not another disturbance of this study"
-                    )
-        if not any(entry.share for entry in value):
-            raise ValueError("every disturbance has share 0, so there is nothing to run")
-        return with_own_axes(value)
-
     @model_validator(mode="after")
     def _sections_fit_each_other(self) -> "SegmentStudy":
-        store, wavefront = self.store, self.wavefront
+        store = self.store
         if self.segment is not None and not any(isinstance(one, SegmentShaking) for one in self.disturbance):
             raise ValueError(
                 "the section segment belongs to model = 'segment-shaking'; add such a disturbance"
@@ -220,10 +162,6 @@ class SegmentStudy(Study):
         if modal and self.imaging.enabled:
             raise ValueError("optics.light = 'modal' makes no images; set imaging.enabled = false")
         self._places_can_be_several()
-        if modal and (wavefront.method != "opd" or wavefront.reference != "chief"):
-            raise ValueError(
-                "optics.light = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
-            )
         self._camera_has_images()
         if self.reduction is not None:
             self._models_can_be_compared()
@@ -297,11 +235,6 @@ class SegmentStudy(Study):
         if self.campaign.sampling != "random":
             raise ValueError("reduction draws every case at random; leave campaign.sampling out")
 
-    @property
-    def compared(self) -> tuple[str, ...]:
-        """Models of the segments that are compared, the full one first; a draw is a case with each."""
-        return (FULL, *self.reduction.variants) if self.reduction is not None else (FULL,)
-
     def _bodies_fit(self) -> None:
         massive = any(one.kind for one in self.body)
         if self.link and not massive:
@@ -331,11 +264,6 @@ class SegmentStudy(Study):
             raise ValueError("rare draws cases near a limit; leave campaign.sampling and campaign.until out")
         if sum(entry.share > 0 for entry in self.disturbance) != 1:
             raise ValueError("rare needs one disturbance; give share = 0 to the others")
-
-    @property
-    def fewest_instants(self) -> int:
-        """Number of instants of the shortest case."""
-        return min(entry.instants for entry in self.disturbance if entry.share)
 
     def unused_keys(self, one_piece: bool) -> Iterator[str]:
         """Yield a sentence on a number of rays that is not of the sampling of this study."""

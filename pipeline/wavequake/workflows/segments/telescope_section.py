@@ -13,11 +13,11 @@ from wavequake.optics.sections import Pair
 class SurfaceSection(Section):
     """One surface of a custom telescope after M1 (the last one is the image plane)."""
 
-    name: str
+    name: str = Field(description="by which disturbances and results speak of it")
     radius_mm: float | None = Field(
         default=None, description="None is a plane; positive if the center lies on +z"
     )
-    conic: float = 0.0
+    conic: float = Field(default=0.0, description="conic constant: 0 a sphere, -1 a paraboloid")
     even_asphere: tuple[float, ...] = Field(
         default=(), strict=False, max_length=8, description="of rho^2, rho^4, ... in mm^-1, mm^-3, ..."
     )
@@ -57,7 +57,9 @@ _OF_POLYGONS = ("tmt", "tmt-18", "jwst", "elt", "keck", "gtc", "het", "gmt")
 class TelescopeSection(Section):
     """Which telescope, and what may be changed of it."""
 
-    name: Literal["tmt", "tmt-18", "tmt-thesis", "jwst", "elt", "keck", "gtc", "het", "gmt", "custom"]
+    name: Literal["tmt", "tmt-18", "tmt-thesis", "jwst", "elt", "keck", "gtc", "het", "gmt", "custom"] = (
+        Field(description="of a bundled telescope, or custom: one of your own")
+    )
     side_mm: float | None = Field(default=None, gt=0, description="tmt-18: side length of the hexagons")
     gap_mm: float | None = Field(default=None, ge=0, description="tmt, tmt-18: gap between the segments")
     polygons: str | None = Field(
@@ -74,7 +76,9 @@ class TelescopeSection(Section):
     primary_radius_mm: float | None = Field(
         default=None, lt=0, description="custom: radius of M1, concave < 0"
     )
-    primary_conic: float = -1.0
+    primary_conic: float = Field(
+        default=-1.0, description="custom: conic constant of M1; default: a paraboloid"
+    )
     surfaces: tuple[SurfaceSection, ...] = Field(default=(), strict=False, max_length=MOST_SURFACES)
 
     @model_validator(mode="after")
@@ -110,7 +114,7 @@ PLACES = ("field point", "wavelength")
 class OpticsSection(Section):
     """Light and rays."""
 
-    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
+    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6, description="of the light; default: green")
     sampling: Literal["segments", "sunflower"] = Field(
         default="segments",
         description="rays over all glass, or over the annulus of the pupil; the glass of tmt-18 reaches to "

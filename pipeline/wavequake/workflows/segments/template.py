@@ -10,7 +10,7 @@ from wavequake.campaign.contract import Fixed, Template, Variable
 from wavequake.campaign.engine.chunk_size import stored_bytes
 from wavequake.campaign.measures import Axis, Measure, stored, template_of
 from wavequake.chain.images.camera import camera_axes, camera_measures, frame_axes
-from wavequake.chain.images.extended import lit_object_words
+from wavequake.chain.images.extended import image_measures, lit_object_words
 from wavequake.optics.derivatives.central import DOFS
 from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of, benches_of, field_names, in_basis
@@ -174,28 +174,13 @@ def _measures(bench: Bench) -> Iterator[Measure]:
     words = "largest number of rays at an instant that miss the clear part of a mirror after M1"
     yield stored("vignetted", "1", words)
     if study.imaging.enabled:
-        yield from _image_measures(bench)
+        words = "mean of the instants' point spread functions; 1 = peak of the perfect one"
+        engine = {"engine": "rays" if by_rays(bench) else "segments"}
+        yield from image_measures((), study.object, bool(study.imaging.focus_um), words, engine)
+        yield from camera_measures(study.imaging.resolution, study.detector, ())
     if "segment_motion" in study.store.keep:
         words = "rigid motion in the segment's local frame (dz to the sky)"
         yield stored("segment_motion", "m, rad", words, ("time", "segment", "dof"))
-
-
-def _image_measures(bench: Bench) -> Iterator[Measure]:
-    study = bench.study
-    words = "largest irradiance of the exposure, line of sight included; 1 = peak of the perfect image"
-    yield stored("peak", "1", words)
-    for share in (50, 80):
-        words = f"radius of {share} % encircled energy of the exposure; inf beyond the frame"
-        yield stored(f"ee{share}", "lambda/D", words)
-    words = "mean of the instants' point spread functions; 1 = peak of the perfect one"
-    engine = {"engine": "rays" if by_rays(bench) else "segments"}
-    yield stored("exposure", "1", words, ("y", "x"), attrs=engine)
-    if study.imaging.focus_um:
-        words = "exposure in planes behind the image; 1 = peak of the perfect image"
-        yield stored("exposure_focus", "1", words, ("focus", "y", "x"))
-    if study.object is not None:
-        yield stored("object_image", "1", "exposed image of " + lit_object_words(study.object), ("y", "x"))
-    yield from camera_measures(study.imaging.resolution, study.detector, ())
 
 
 def _axes(bench: Bench) -> dict[str, Axis]:

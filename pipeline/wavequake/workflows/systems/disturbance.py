@@ -16,8 +16,6 @@ from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import noise_of, seen
 from wavequake.chain.images.system import SystemImager
 from wavequake.chain.nodal import nodal_sources
-from wavequake.chain.sampling import replicate_labels
-from wavequake.chain.uncertain import shared_models
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.trace.sequence import bends
 from wavequake.mechanics.disturbances.element_motion import (
@@ -32,6 +30,7 @@ from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.words import counted
 from wavequake.workflows.bodies.plants import standing
+from wavequake.workflows.disturbed_study import case_labels
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.modal import MODAL, TRACED
 from wavequake.workflows.systems.bench import (
@@ -173,21 +172,6 @@ def _numbers_of_a_case(bench: SystemBench) -> int:
     still = rest_states(bench.system)
     instant = still.surface_motion.size + sum(form.size for form in still.deformations if form is not None)
     return instant * max(population.instants for population in bench.study.disturbance)
-
-
-def case_labels(study: SystemStudy, cases: NDArray[np.int64]) -> CaseTable:
-    """Return the labels of cases: disturbance, realization and seed."""
-    slots = [slot_of(study, case) for case in cases.tolist()]
-    realizations = np.array([realization for _, realization, _ in slots], dtype=np.int64)
-    models = {"reduction": np.array([model for *_, model in slots], dtype=object)}
-    return {
-        "disturbance": np.array([population.name for population, *_ in slots], dtype=object),
-        **(models if study.reduction is not None else {}),
-        "realization": realizations,
-        "seed": np.full(len(cases), study.study.seed, dtype=np.int64),
-        **replicate_labels(study.campaign, realizations),
-        **shared_models(study.structure.uncertain, realizations),
-    }
 
 
 def measures_of(bench: SystemBench) -> Iterator[Measure]:

@@ -7,7 +7,7 @@ import numpy as np
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.chain.images.camera import camera_axes, camera_measures, frame_axes
-from wavequake.chain.images.extended import lit_object_words
+from wavequake.chain.images.extended import image_measures, lit_object_words
 from wavequake.chain.images.system import expose
 from wavequake.workflows.mirrors.compared_models import ERRORS
 from wavequake.workflows.segments.template import wavefront_source
@@ -71,7 +71,9 @@ def _traced_measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Ite
     yield stored("vignetted", "1", "largest number of rays at an instant that openings stop", _OVER[1:])
     yield stored("lost", "1", "largest number of rays at an instant that do not arrive", _OVER[1:])
     if study.imaging is not None:
-        yield from _image_measures(study)
+        words = "mean of every instant's image at its line of sight, in all wavelengths; 1 = peak of the "
+        focus = bool(study.imaging.focus_um)
+        yield from image_measures(("field",), study.object, focus, words + "perfect one")
         yield from camera_measures(study.imaging.resolution, study.detector, ("field",))
     if study.reduction is not None:
         for name, (unit, words) in ERRORS.items():
@@ -79,24 +81,6 @@ def _traced_measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Ite
             if name != "model_error_image" or study.imaging is not None:
                 said = f"difference to the same draw with full models: {words}"
                 yield stored(name, unit or "mm", said, dims)
-
-
-def _image_measures(study: SystemStudy) -> Iterator[Measure]:
-    words = (
-        "mean of every instant's image at its line of sight, in all wavelengths; 1 = peak of the perfect one"
-    )
-    yield stored("exposure", "1", words, ("field", "y", "x"))
-    words = "largest irradiance of the exposure; 1 = peak of the perfect image"
-    yield stored("peak", "1", words, ("field",))
-    for share in (50, 80):
-        words = f"radius of {share} % encircled energy of the exposure; inf beyond the frame"
-        yield stored(f"ee{share}", "lambda/D", words, ("field",))
-    if study.imaging is not None and study.imaging.focus_um:
-        words = "exposure in planes behind the image; 1 = peak of the perfect image"
-        yield stored("exposure_focus", "1", words, ("field", "focus", "y", "x"))
-    if study.object is not None:
-        words = "exposed image of " + lit_object_words(study.object)
-        yield stored("object_image", "1", words, ("field", "y", "x"))
 
 
 def axes(bench: SystemBench) -> dict[str, Axis]:

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.chain.sampling import slot
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.workflows.mirrors.compared_models import model_errors, rms_of
-from wavequake.workflows.segments.launches import slot
 from wavequake.workflows.systems.study import SystemStudy
 
 Array = NDArray[np.float64]

@@ -59,7 +59,9 @@ class ElasticM2(Actuator):
         default=10.0, ge=1e-9, le=1e9, description="of an actuator, along x, y and z alike, N/um"
     )
     diameter_m: float = Field(default=3.0244, ge=1e-3, le=100, description="of the disc; default: TMT's M2")
-    thickness_m: float = Field(default=0.04, ge=1e-5, le=10)
+    thickness_m: float = Field(
+        default=0.04, ge=1e-5, le=10, description="of the disc, the same everywhere; 40 mm is an example"
+    )
     radius_m: float | None = Field(
         default=None,
         ge=-1e9,
@@ -69,8 +71,12 @@ class ElasticM2(Actuator):
     young_gpa: float = Field(
         default=90.3, ge=1e-6, le=1e6, description="of glass ceramic, as the two that follow"
     )
-    poisson: float = Field(default=0.24, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=2530.0, ge=1.0, le=1e6)
+    poisson: float = Field(
+        default=0.24, gt=-1, lt=0.5, description="Poisson's ratio of the disc; default: glass ceramic"
+    )
+    density_kg_m3: float = Field(
+        default=2530.0, ge=1.0, le=1e6, description="of the disc; default: glass ceramic"
+    )
     divisions: int = Field(default=6, ge=2, le=20, description="elements along half a radius")
     reduction: str = Field(
         default="modal40",

@@ -32,7 +32,7 @@ NO_MODES = "there is neither a [[mode]] block nor a [[body]] with mass."
 class LineSection(Section):
     """A vibration that the controller expects."""
 
-    hz: float = Field(ge=0.1, le=1e3)
+    hz: float = Field(ge=0.1, le=1e3, description="middle of the line")
     fwhm_hz: float = Field(default=0.5, ge=1e-5, le=1e3, description="full width at half maximum")
     rms: float = Field(ge=1e-15, le=1e15, description="in the sensor's unit; of accelerometers in m or rad")
 

@@ -27,8 +27,12 @@ class StateSpace(Controller):
     a: Matrix = Field(
         default=(), strict=False, description="A by rows; default: no states, commands are D times readings"
     )
-    b: Matrix = Field(default=(), strict=False)
-    c: Matrix = Field(default=(), strict=False)
+    b: Matrix = Field(
+        default=(), strict=False, description="B by rows, from readings to states; default: no states"
+    )
+    c: Matrix = Field(
+        default=(), strict=False, description="C by rows, from states to commands; default: no states"
+    )
     d: Matrix | None = Field(default=None, strict=False, description="default: zero")
     each: bool = Field(default=False, description="the matrices are one filter for every channel")
 

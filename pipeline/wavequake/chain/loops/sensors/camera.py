@@ -57,7 +57,7 @@ class Camera(Sensor):
     model: Literal["camera"] = "camera"
     photons: Photons = Field(default=0.0, description="of the star, per frame; 0: photons make no noise")
     read_noise: float = Field(default=0.0, ge=0, le=1e6, description="electrons rms per pixel, with photons")
-    pixel_mas: float = Field(default=5.0, gt=0, le=1e6)
+    pixel_mas: float = Field(default=5.0, gt=0, le=1e6, description="width of a pixel on the sky")
     pixels: int = Field(default=16, ge=2, le=128, description="along one side of the window")
 
     def labels(self, light: Light) -> tuple[str, ...]:

@@ -27,8 +27,8 @@ class ForceLine(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    frequency_hz: float = Field(gt=0, le=1e6)
-    force_n: float = Field(ge=0)
+    frequency_hz: float = Field(gt=0, le=1e6, description="of the sinusoid")
+    force_n: float = Field(ge=0, description="amplitude of the sinusoid, in N")
 
 
 def unit(direction: Direction) -> Array:

@@ -33,12 +33,12 @@ class BodyWind(PlantSource):
     direction: Direction = Field(
         default=(1.0, 0.0, 0.0), description="of the wind, in the axes of the system"
     )
-    mean_speed_m_s: float = Field(default=5.0, gt=0, le=100, description="U")
+    mean_speed_m_s: float = Field(default=5.0, gt=0, le=100, description="U, of the wind over all nodes")
     turbulence_intensity: float = Field(
         default=0.2, gt=0, le=2, description="rms of the gusts over the mean speed"
     )
     length_scale_m: float = Field(default=20.0, gt=0, description="L, integral scale of the turbulence")
-    air_density_kg_m3: float = Field(default=1.2, gt=0)
+    air_density_kg_m3: float = Field(default=1.2, gt=0, description="of the air; 1.2: at sea level")
     drag_coefficient: float = Field(default=1.2, gt=0, description="1.2: round tubes")
     coherence_decay: float = Field(default=10.0, gt=0, description="C of the coherence exp(-C f d / U)")
 

@@ -7,17 +7,16 @@ of many cases are drawn at once: made for campaigns of a million cases.
 from typing import ClassVar, Literal
 
 import numpy as np
-import scipy  # its parts load when first used
 from numpy.typing import NDArray
 from pydantic import Field
 
+from wavequake.kernels.device.opencl import NUMPY, Device
+from wavequake.kernels.random.normals import WORDS, normal_numbers, normal_quantiles
 from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.mechanics.disturbances.motion import Motion, counted_generator, still
+from wavequake.mechanics.disturbances.motion import Motion, counted_generator, counted_key, still
 from wavequake.mechanics.disturbances.population import time_axis
 from wavequake.mechanics.disturbances.source import Randoms, SegmentSource, register
 from wavequake.mechanics.disturbances.streams import Random
-
-_WORDS = 4  # 64-bit numbers by each step of Philox's counter
 
 
 @register
@@ -57,21 +56,33 @@ def history(parameters: CommonHistory, time: NDArray[np.float64]) -> NDArray[np.
     return np.asarray(swing * np.sin(2.0 * np.pi * parameters.frequency_hz * time), dtype=np.float64)
 
 
-def amplitudes(
-    parameters: CommonHistory, segments: int, random: Random, cases: int = 1
+def amplitudes(parameters: CommonHistory, segments: int, random: Random) -> NDArray[np.float64]:
+    """Return the amplitudes (segments,), m, of one realization."""
+    return _scaled(parameters, random.random(WORDS * _steps(segments)))[:segments]
+
+
+def amplitudes_of_run(
+    parameters: CommonHistory, segments: int, seed: int, first: int, cases: int, device: Device = NUMPY
 ) -> NDArray[np.float64]:
     """Return the amplitudes (cases, segments), m, of as many realizations one after the other.
 
-    Each takes the same number of random bits, so that the first one of a generator that
-    `amplitude_generator` starts at a realization is that realization, however many follow.
+    Each takes the same steps of a counter: the bits of a realization do not depend on how many are drawn.
     """
-    uniform = random.random((cases, _WORDS * _steps(segments)))[:, :segments]
-    if parameters.piston_distribution == "uniform":
-        unit = np.sqrt(12.0) * (uniform - 0.5)
+    steps = _steps(segments)
+    if parameters.piston_distribution == "gaussian":
+        key = counted_key(seed, parameters.name)
+        unit = normal_numbers(key, first * steps, cases * steps, device)
+        unit *= parameters.piston_nm * 1e-9
     else:
-        unit = scipy.special.ndtri(
-            uniform + 2.0**-54
-        )  # the middle of each of the 2^53 intervals: never infinite
+        random = amplitude_generator(parameters, segments, seed, first)
+        unit = _scaled(parameters, random.random(WORDS * steps * cases))
+    return unit.reshape(cases, -1)[:, :segments]
+
+
+def _scaled(parameters: CommonHistory, uniform: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return amplitudes in m by numbers that are uniform between 0 and 1."""
+    gaussian = parameters.piston_distribution == "gaussian"
+    unit = normal_quantiles(uniform) if gaussian else np.sqrt(12.0) * (uniform - 0.5)
     return np.asarray(unit * (parameters.piston_nm * 1e-9), dtype=np.float64)
 
 
@@ -83,7 +94,7 @@ def amplitude_generator(
 
 
 def _steps(segments: int) -> int:
-    return -(-segments // _WORDS)
+    return -(-segments // WORDS)
 
 
 def draw_common(
@@ -92,6 +103,6 @@ def draw_common(
     """Draw one realization."""
     motion = still(len(time), len(layout))
     motion.segment_motion[..., 2] = np.outer(
-        history(parameters, time), amplitudes(parameters, len(layout), random)[0]
+        history(parameters, time), amplitudes(parameters, len(layout), random)
     )
     return motion

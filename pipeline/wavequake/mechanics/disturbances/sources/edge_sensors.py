@@ -5,7 +5,9 @@ so white sensor noise turns into motion by the pseudo-inverse of the sensor matr
 whole mirror, which neighbors hardly feel, dominate it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -23,6 +25,8 @@ from wavequake.prepared import prepared
 from wavequake.tables import kept
 
 Array = NDArray[np.float64]
+
+_COLUMNS = 160  # instants of all realizations that are solved for at once
 
 
 @register
@@ -48,7 +52,23 @@ class EdgeSensorNoise(Source):
 
     def draw(self, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
         """Draw one realization."""
-        return draw_edge_noise(self, layout, time, randoms(self.name))
+        return self.draw_several([layout], time, [randoms], [0])[0]
+
+    def draw_several(
+        self,
+        layouts: Sequence[SegmentLayout],
+        time: Array,
+        randoms: Sequence[Randoms],
+        realizations: Sequence[int],
+    ) -> list[Motion]:
+        """Draw realizations whose readings are solved for at once."""
+        drawn, at_once = [], _at_once(len(time))
+        for _, group in groupby(range(len(layouts)), lambda one: realizations[one] // at_once):
+            mine = list(group)
+            places = [realizations[one] % at_once for one in mine]
+            streams = [randoms[one](self.name) for one in mine]
+            drawn += draw_edge_noise(self, layouts[mine[0]], time, streams, places)
+        return drawn
 
     def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]]:
         """Return that of the pistons."""
@@ -291,21 +311,40 @@ def unseen_motions(parameters: EdgeSensorNoise, layout: SegmentLayout) -> int:
 
 
 def draw_edge_noise(
-    parameters: EdgeSensorNoise, layout: SegmentLayout, time: Array, random: Random
-) -> Motion:
-    """Draw independent sensor noise at each instant and turn it into segment motion."""
+    parameters: EdgeSensorNoise,
+    layout: SegmentLayout,
+    time: Array,
+    randoms: Sequence[Random],
+    places: Sequence[int],
+) -> list[Motion]:
+    """Draw independent sensor noise at each instant and turn it into segment motion.
+
+    A realization has a place of its own in products of a constant shape, so that its bits do not depend on
+    what is drawn with it.
+    """
     shape = shaping(layout, parameters.dihedral_arm_m, parameters.sensor_offset_m)
-    readings = random.standard_normal((len(time), shape.transposed.shape[1])) * (
-        parameters.sensor_rms_nm * 1e-9
-    )
-    unknowns = shape.unknowns(readings.T)
-    piston, x_slope, y_slope = np.moveaxis(unknowns.T.reshape(len(time), len(layout), 3), 2, 0)
-    motion = still(len(time), len(layout))
+    readings = np.zeros((_at_once(len(time)), len(time), shape.transposed.shape[1]))
+    for place, random in zip(places, randoms, strict=True):
+        readings[place] = random.standard_normal(readings.shape[1:])
+    solved = shape.unknowns(readings.reshape(-1, readings.shape[2]).T * (parameters.sensor_rms_nm * 1e-9))
+    unknowns = np.ascontiguousarray(solved.T).reshape(len(readings), len(time), len(layout), 3)
+    return [_motion(shape, unknowns[place]) for place in places]
+
+
+def _motion(shape: Shaping, unknowns: Array) -> Motion:
+    """Return the motion of S segments by their unknowns (n, S, 3)."""
+    piston, x_slope, y_slope = np.moveaxis(unknowns, 2, 0)
+    motion = still(len(unknowns), unknowns.shape[1])
     motion.segment_motion[..., 2] = piston
     # z = slope_x x + slope_y y is the rotation (slope_y, -slope_x).
     motion.segment_motion[..., 3] = y_slope / shape.radius
     motion.segment_motion[..., 4] = -x_slope / shape.radius
     return motion
+
+
+def _at_once(instants: int) -> int:
+    """Return how many realizations are solved for at once: the factor is read for all of their instants."""
+    return next((count for count in (16, 8, 4, 2) if count * instants <= _COLUMNS), 1)
 
 
 def _in_tangent_plane(axes: Array, vectors: Array) -> Array:

@@ -36,7 +36,7 @@ class SurfaceHistory(Source):
     independent: ClassVar = "element"
 
     model: Literal["surface-history"] = "surface-history"
-    instants: int = Field(default=16, ge=1, le=MOST_INSTANTS)
+    instants: int = Field(default=16, ge=1, le=MOST_INSTANTS, description="left out: the rows of the file")
     file: str | None = Field(
         default=None,
         exclude=True,

@@ -42,7 +42,9 @@ class LineOfSight(Source):
     sight: ClassVar = True
 
     model: Literal["line-of-sight"] = "line-of-sight"
-    spectrum: Literal["tmt-windshake", "tmt-vibration", "file"] = "tmt-windshake"
+    spectrum: Literal["tmt-windshake", "tmt-vibration", "file"] = Field(
+        default="tmt-windshake", description="power spectral density of the motion: one of those above"
+    )
     duration_s: float = Field(
         default=120.0, gt=0, le=1e5, description="minutes: half the wind shake is below 0.4 Hz"
     )

@@ -41,7 +41,12 @@ class NodalDisplacements(Source):
     fits: ClassVar[tuple[Optics, ...]] = ("surfaces",)
 
     model: Literal["nodal-displacements"] = "nodal-displacements"
-    instants: int = Field(default=1, ge=1, le=MOST_INSTANTS)
+    instants: int = Field(
+        default=1,
+        ge=1,
+        le=MOST_INSTANTS,
+        description="at which a load case stands still; of results over time left out",
+    )
     surface: str = Field(description="whose nodes they are")
     file: str | None = Field(
         default=None,

@@ -24,7 +24,9 @@ class PatternLine(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    frequency_hz: float = Field(gt=0, le=1e6)
+    frequency_hz: float = Field(
+        gt=0, le=1e6, description="resonance of the oscillator, or frequency of the sinusoid"
+    )
     fwhm_hz: float = Field(default=0.0, ge=0, description="full width at half maximum; 0: a sinusoid")
     rms: float = Field(default=1.0, gt=0, description="of the pattern")
 

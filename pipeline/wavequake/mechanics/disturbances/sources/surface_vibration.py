@@ -20,7 +20,7 @@ class VibrationLine(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    frequency_hz: float = Field(gt=0, le=1e6)
+    frequency_hz: float = Field(gt=0, le=1e6, description="of the sinusoid")
     amplitude: RigidSizes
 
 

@@ -29,7 +29,9 @@ class Line(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    frequency_hz: float = Field(gt=0, le=1e5)
+    frequency_hz: float = Field(
+        gt=0, le=1e5, description="resonance of the oscillator, the middle of the line"
+    )
     fwhm_hz: float = Field(gt=0, description="full width at half maximum of the PSD")
     rms_mas: float = Field(gt=0, description="on the sky")
     across: bool = Field(
@@ -61,8 +63,10 @@ class VibrationLines(Source):
     sight: ClassVar = True
 
     model: Literal["vibration-lines"] = "vibration-lines"
-    lines: tuple[Line, ...] = Field(default=(), strict=False)
-    set: Literal["keck", "vlt-eris", "elt-windshake-8ms"] | None = None
+    lines: tuple[Line, ...] = Field(default=(), strict=False, description="one by one, in place of a set")
+    set: Literal["keck", "vlt-eris", "elt-windshake-8ms"] | None = Field(
+        default=None, description="lines that are known by a name, in place of lines"
+    )
     rms_mas: float | None = Field(default=None, gt=0, description="of a set, per axis on the sky")
     fwhm_hz: float = Field(
         default=0.2, gt=0, le=2.0, description="width of a set's lines where it gives none"

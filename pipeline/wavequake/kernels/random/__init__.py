@@ -1,0 +1,1 @@
+"""Random numbers that a counter addresses, on devices and by NumPy."""
