@@ -48,7 +48,9 @@ def conic_sag_and_slopes(
     with np.errstate(invalid="ignore", divide="ignore"):
         root = np.sqrt(1.0 - (1.0 + np.asarray(conic)) * np.square(curvature) * square)
         factor = np.where(root > 0.0, curvature / root, np.nan)
-        return curvature * square / (1.0 + root), factor * x, factor * y
+        found = curvature * square / (1.0 + root), factor * x, factor * y
+    sag, along_x, along_y = (np.asarray(one, dtype=np.float64) for one in found)
+    return sag, along_x, along_y
 
 
 def conic_path(
