@@ -113,7 +113,7 @@ class Core:
         rigid, *through = channels
         if self.back is None:
             plant = coupled(channels, self.sees, self.into, self.drives)
-            return plant, np.kron(rigid.c, np.eye(len(self.sees)))
+            return plant, np.asarray(np.kron(rigid.c, np.eye(len(self.sees))))
         alone = len(self.sees) - len(through)
         models = (*[rigid] * alone, *through)
         seen = []
