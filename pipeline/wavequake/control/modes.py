@@ -131,7 +131,7 @@ def check_controllable(model: LinearModel, what: str = "The regulator") -> None:
 
 def check_stable(model: LinearModel, what: str = "The model") -> None:
     """Raise UserError that names the modes which do not decay."""
-    growing = modes(model, only=grows)
+    growing = list(modes(model, only=grows))
     if growing:
         worst = max(growing, key=lambda mode: mode.pole.real)
         raise UserError(f"{what} is unstable: {_listed(growing)} grows, real part {worst.pole.real:.3g} 1/s.")
