@@ -107,3 +107,14 @@ def test_light_of_wide_fields_is_launched_as_that_of_smaller_ones():
         slope = (found[2] - found[1]) / (steps[2] - steps[1])
         assert abs(found[3] - found[2] - slope * 1e-4) < 1e-8, name
         assert abs(found[1] - found[0] - slope * 1e-4) < 1e-8, name
+
+
+def test_light_from_behind_that_misses_is_refused_without_warnings():
+    with pytest.raises(UserError, match="misses that surface"):
+        arrival(fish_eye((0.0, 180.0 - 1e-7)), (0.0, 180.0 - 1e-7))
+
+
+def test_an_object_on_the_first_surface_but_for_rounding_is_refused():
+    near = replace(fish_eye((0.0, 0.0)), object_distance=1e-200)
+    with pytest.raises(UserError, match="stands in the first surface"):
+        arrival(near, (0.0, 0.0))
