@@ -275,9 +275,10 @@ def test_solves_stand_as_the_numbers_that_they_gave(tmp_path):
     data = paraxial(read_seq(tmp_path / "singlet.seq"))
     assert data.focal_length == pytest.approx(100.0, rel=1e-12)
     assert data.defocus == pytest.approx(0.0, abs=1e-10)
-    (tmp_path / "singlet.seq").write_text(SOLVED.replace("THI HMY 0.0", "THI S1 8.0"))
-    with pytest.raises(UserError, match="THI changes the light"):
-        read_seq(tmp_path / "singlet.seq")
+    for other in ("THI S1 8.0", "THI SO 200.0", "RDY SI -50.0", "THI SA 1.0", "THI NAN"):
+        (tmp_path / "singlet.seq").write_text(SOLVED.replace("THI HMY 0.0", other))
+        with pytest.raises(UserError, match=f"{other[:3]} changes the light"):
+            read_seq(tmp_path / "singlet.seq")
 
 
 @pytest.mark.parametrize("unit", ["M", "I"])

@@ -60,6 +60,7 @@ def test_slopes_change_by_those_of_the_ways_at_every_color_and_order(order, nm):
         ("PARM 1 0", "PARM 1 3", "points off its axis"),
         ("  DIAM 30", "  DIAM 30\n  CURV 0.01", "curved or of points off"),
         ("  DIAM 30", "", "semi-diameter"),
+        ("  DIAM 30", "  DIAM 1e-200", "normalization radius"),
         ("PARM 6 100.0", "PARM 6 40.0", "not farther than"),
         (f"PARM 7 {MADE * 1e3}", "PARM 7 -0.55", "not a positive wavelength"),
     ],

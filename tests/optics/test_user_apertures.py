@@ -80,3 +80,21 @@ def test_corners_of_another_kind_are_refused():
     text = lens(SQUARE).replace("UDAD 2 -1.0 1.0 0", "UDAD 2 -1.0 1.0 2")
     with pytest.raises(UserError, match="a corner of the kind 2"):
         parse_zmx(text, "lens.zmx")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ('UDA" 1.0', 'UDA" nan', "'nan' is not the scale"),
+        ('UDA" 1.0', 'UDA" -2', "'-2' is not the scale"),
+        ('UDA" 1.0', 'UDA" 1e308', "more than 1e"),
+        ("UDAD 2 ", "UDAD 1 ", r"whose line 1 \(UDAD\) stands there twice"),
+        ("  UDAD 1 ", '  UDAD 0 "A B.UDA" 0.5\n  UDAD 1 ', r"whose line 0 \(UDAD\) stands there twice"),
+        ("UDAD 2 -1.0", "UDAD 2 -1e200", "more than 1e"),
+    ],
+)
+def test_scales_and_corners_that_make_no_sense_are_refused_by_their_line(old, new, why):
+    text = lens(SQUARE)
+    assert old in text
+    with pytest.raises(UserError, match=rf"line \d+ \(UDAD\).*{why}"):
+        parse_zmx(text.replace(old, new), "lens.zmx")

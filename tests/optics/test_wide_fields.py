@@ -116,3 +116,14 @@ def test_lens_files_say_that_another_angle_than_90_degrees_is_traced_elsewhere(a
     rows = "SURF 0\n  DISZ INFINITY\nSURF 1\n  STOP\n  DISZ 9\nSURF 2\n  DISZ 0\n"
     system = parse_zmx(head + rows, "lens.zmx")
     assert ("OpticStudio traces a field of 90 degrees as one of 89.8" in system.note) == said
+
+
+def test_light_from_behind_that_misses_is_refused_without_warnings():
+    with pytest.raises(UserError, match="misses that surface"):
+        arrival(fish_eye((0.0, 180.0 - 1e-7)), (0.0, 180.0 - 1e-7))
+
+
+def test_an_object_on_the_first_surface_but_for_rounding_is_refused():
+    near = replace(fish_eye((0.0, 0.0)), object_distance=1e-200)
+    with pytest.raises(UserError, match="stands in the first surface"):
+        arrival(near, (0.0, 0.0))

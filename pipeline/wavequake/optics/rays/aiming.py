@@ -26,6 +26,7 @@ from wavequake.optics.systems.system import OpticalSystem, field_direction, is_w
 
 Array = NDArray[np.float64]
 
+_TOUCHES_MM = 1e-9
 _DIFFERENCE = 1e-4  # step of the differences, as a share of the beam's radius
 _TELECENTRIC = 100.0  # an entrance pupil that many object distances away makes chief rays parallel
 LOSSES = {
@@ -242,7 +243,7 @@ def require_light(system: OpticalSystem) -> None:
 
 def _require_distance(system: OpticalSystem) -> None:
     """Raise UserError if the object stands in the first surface; behind it, it is virtual."""
-    if way_from_object(system) == 0.0:
+    if abs(way_from_object(system)) < _TOUCHES_MM:
         raise UserError(f"the object of {system.name} stands in the first surface; move it off")
 
 

@@ -48,7 +48,7 @@ class Bundle:
 def axes_across(direction: Array) -> Array:
     """Return two axes (3, 2) at right angles to a direction: x and y, turned as z turns to it."""
     x, y, z = direction
-    share = 1.0 / (1.0 + z)
+    share = 1.0 / (1.0 + z) if z > -1.0 else 0.0
     return np.array([[1.0 - share * x * x, -share * x * y], [-share * x * y, 1.0 - share * y * y], [-x, -y]])
 
 

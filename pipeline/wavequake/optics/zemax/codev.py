@@ -35,6 +35,8 @@ _MOVES_LIGHT = frozenset(
     )
 )
 _SOLVED = ("CUY", "RDY", "THI")  # of which a solve may say the value
+# Height, slope or angle of incidence of the marginal or chief ray; SO, SI, ... there are other surfaces.
+_SOLVE = re.compile("[HUI][MC][XY]")
 _HARMLESS = frozenset(
     (
         *(
@@ -197,7 +199,7 @@ def _take(draft: _Draft, line: Line) -> None:
 
 def _is_solve(line: Line) -> bool:
     """Tell whether a command names a solve of the surface before it, such as ``THI HMY 0.0``."""
-    return re.fullmatch(r"[A-Z]{2,3}", (line.words or [""])[0].upper()) is not None
+    return _SOLVE.fullmatch((line.words or [""])[0].upper()) is not None
 
 
 def _of_surface(draft: _Draft, line: Line) -> bool:

@@ -114,7 +114,7 @@ def _hologram(row: Row, scale: float) -> Diffraction:
     for k in range(_HOLOGRAM_TERMS):
         power *= (0.5 - k) / (k + 1)  # the binomial coefficient of 1 / 2 and k + 1
         terms[k] = sum(way * power * (reach / way) ** (2 * (k + 1)) for way in ways)
-    kept = int(np.ceil(math.log(1e-17) / math.log(share)))
+    kept = int(np.ceil(math.log(1e-17) / math.log(share))) if share else 1
     radians = -2.0 * math.pi / (made * 1e-3) * terms[:kept]
     return Diffraction(given.get(8, 0.0), radial=tuple(radians.tolist()), normalization_radius=reach)
 

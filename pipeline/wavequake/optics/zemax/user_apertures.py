@@ -5,6 +5,9 @@ each further line is a corner, and zeros end a polygon. Several polygons that li
 by slits between them that are narrower than any ray would meet.
 """
 
+import math
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +20,7 @@ Array = NDArray[np.float64]
 USER_DEFINED = ("USAP", "USOB")
 _SLIT = 1e-9  # width of a slit, as a share of the edges that it cuts
 _MOST_CORNERS = 1000
+_FARTHEST_MM = 1e9
 
 
 def user_polygon(row: Row, line: Line, scale: float) -> tuple[tuple[float, float], ...]:
@@ -40,17 +44,20 @@ def user_polygon(row: Row, line: Line, scale: float) -> tuple[tuple[float, float
 def _polygons(row: Row, line: Line, scale: float) -> list[Array]:
     found: list[list[tuple[float, float]]] = [[]]
     lines = sorted(row.lines.get("UDAD", []), key=lambda one: as_integer(one, 0))
+    for before, one in pairwise(lines):
+        if as_integer(one, 0) == as_integer(before, 0):
+            fail(
+                one, f"{row.label} has an aperture whose line {as_integer(one, 0)} (UDAD) stands there twice"
+            )
     for one in lines:
         if as_integer(one, 0) == 0:
-            words = one.rest.split('"')[-1].split() if '"' in one.rest else one.words[2:]
-            try:
-                scale *= float(words[0]) if words else 1.0
-            except ValueError:
-                fail(one, f"{words[0]!r} is not the scale of an aperture")
+            scale *= _scale(one)
             continue
         x, y, kind = (as_number(one, place) if len(one.words) > place else 0.0 for place in (1, 2, 3))
         if kind:
             fail(one, f"{row.label} has an aperture with a corner of the kind {kind:g}, which is not known")
+        if max(abs(x), abs(y)) * scale > _FARTHEST_MM:
+            fail(one, f"{row.label} has an aperture with a corner more than {_FARTHEST_MM:g} mm away")
         if x or y:
             found[-1].append((x * scale, y * scale))
         else:
@@ -64,6 +71,17 @@ def _polygons(row: Row, line: Line, scale: float) -> list[Array]:
     if any(crossing(one[None])[0] for one in polygons):
         fail(line, f"{row.label} has an aperture with a polygon that crosses itself")
     return polygons
+
+
+def _scale(line: Line) -> float:
+    words = line.rest.split('"')[-1].split() if '"' in line.rest else line.words[2:]
+    try:
+        found = float(words[0]) if words else 1.0
+    except ValueError:
+        found = math.nan
+    if not 0.0 < found < math.inf:
+        fail(line, f"{words[0]!r} is not the scale of an aperture, a positive number")
+    return found
 
 
 def _inside(one: Array, other: Array) -> bool:
