@@ -319,7 +319,7 @@ def _image_steps(
 
 
 def _cellular(t: FoldedTransform, pupils: NDArray[Any]) -> _Given:
-    """Return what kernels read of pupils that are given cell by cell, constants that say so, and their size."""
+    """Return what kernels read of pupils that are given cell by cell, constants, and their size."""
     samples, field = len(t.amplitude), np.iscomplexobj(pupils)
     if field:
         ramp = t.ramp.astype(np.float64)
