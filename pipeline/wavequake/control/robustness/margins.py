@@ -88,7 +88,7 @@ def controller_transfer(loop: Loop, s: Complex) -> Complex:
     own = loop.controller
     if len(s) == 1:
         one = own.c @ np.linalg.solve(s[0] * np.eye(len(own.a)) - own.a, own.b.astype(complex))
-        return np.asarray(one)[None]
+        return np.asarray(one, dtype=np.complex128)[None]
     vectors = loop.triangular[1]
     turned = vectors.conj().T
     found = []

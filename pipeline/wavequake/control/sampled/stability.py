@@ -159,7 +159,7 @@ def _closed(loop: SampledLoop, parts: Parts | None) -> _Closed:
     channels, period, p = loop.channels(), loop.timing.period, loop.sees.shape[1]
     if parts is None:
         own, several = model_of(loop.regulator, period), plant_model(loop)
-        answers = np.kron(channels[0].c, np.eye(p))
+        answers = np.asarray(np.kron(channels[0].c, np.eye(p)), dtype=np.float64)
         nothing = np.zeros(0, dtype=complex), np.zeros((p, 0))
         return _Closed(channels[0], own, *nothing, several, own, answers)
     own = filter_of(loop.regulator)
