@@ -15,10 +15,14 @@ _MOST_LISTED = 10_000  # cases; more leave no disturbance out
 
 
 def early_notices(study: Study) -> Iterator[str]:
-    """Yield sentences on doubtful units, disturbances without a case, folded lines, optics out of focus."""
+    """Yield sentences on doubtful units, disturbances without a case, optics out of focus."""
     yield from doubts(study)
     yield from without_cases(study)
     yield from out_of_focus(study)
+
+
+def folded_notices(study: Study) -> Iterator[str]:
+    """Yield sentences on lines that spectra of the report will fold; who looks at images need not read them."""
     if study.study.workflow in _OF_INSTANTS and study.store.reduce == "none":
         entries: tuple[Population, ...] = getattr(study, "disturbance", ())
         named = (one.name for one in entries if one.share)

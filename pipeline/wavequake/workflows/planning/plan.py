@@ -16,7 +16,7 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.posix import peak_memory_mb
 from wavequake.prepared import one_thread, preparation_seconds
 from wavequake.words import counted, lasting, sized
-from wavequake.workflows.early_notices import early_notices
+from wavequake.workflows.early_notices import early_notices, folded_notices
 from wavequake.workflows.planning.known_times import bundled_times, known_times
 from wavequake.workflows.planning.time_limit import OutOfTimeError, time_limit
 from wavequake.workflows.run import chunk_of, kind_of, notices
@@ -110,7 +110,9 @@ def _without_times(study: Study, late: str) -> str:
 
 def _planned(study: Study) -> Iterator[dict[str, str]]:
     """Yield what a plan says, as soon as it is known."""
-    yield {"note": "\n".join(early_notices(study))}  # first: what is wrong needs no device
+    yield {
+        "note": "\n".join((*early_notices(study), *folded_notices(study)))
+    }  # what is wrong needs no device
     device = choose_device(study.campaign.device)  # kernels are built for its test
     yield {"device": f"{device.name} ({device.kind})"}
     workflow, text, cases = kind_of(study), study.identity_text(), study.cases
