@@ -22,7 +22,7 @@ def early_notices(study: Study) -> Iterator[str]:
 
 
 def folded_notices(study: Study) -> Iterator[str]:
-    """Yield sentences on lines that spectra of the report will fold; who looks at images need not read them."""
+    """Yield sentences on lines that spectra of a report will fold: images do not need them."""
     if study.study.workflow in _OF_INSTANTS and study.store.reduce == "none":
         entries: tuple[Population, ...] = getattr(study, "disturbance", ())
         named = (one.name for one in entries if one.share)

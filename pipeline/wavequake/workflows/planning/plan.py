@@ -110,9 +110,8 @@ def _without_times(study: Study, late: str) -> str:
 
 def _planned(study: Study) -> Iterator[dict[str, str]]:
     """Yield what a plan says, as soon as it is known."""
-    yield {
-        "note": "\n".join((*early_notices(study), *folded_notices(study)))
-    }  # what is wrong needs no device
+    # First: what is wrong needs no device.
+    yield {"note": "\n".join((*early_notices(study), *folded_notices(study)))}
     device = choose_device(study.campaign.device)  # kernels are built for its test
     yield {"device": f"{device.name} ({device.kind})"}
     workflow, text, cases = kind_of(study), study.identity_text(), study.cases
