@@ -92,7 +92,7 @@ def parse_rods(text: str, where: str) -> dict[str, Medium]:
         for (place, word), value in zip(rest, numbers, strict=True):
             if abs(value) > _MOST_OF_A_ROD:
                 raise UserError(
-                    f"{where}, line {place}: {word!r} is no number of a rod, which are {_MOST_OF_A_ROD:g} at most."
+                    f"{where}, line {place}: {word!r} is no number of a rod; {_MOST_OF_A_ROD:g} is the most."
                 )
         found[name.upper()] = Medium(name, "selfoc", numbers, catalogue=Path(where).stem.upper())
     if not found:
