@@ -45,8 +45,16 @@ LONGEST = (
     "test_sequential_contract.py",
     "test_mirror_exposure.py",
 )
-# Where tests look at the figures of pages.
-DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_telescope_loop.py")
+# Where tests look at the figures of pages, and where they only want them drawn.
+DRAWN = (
+    "viewer",
+    "drawing",
+    "test_figures.py",
+    "test_vibration.py",
+    "test_errors.py",
+    "test_telescope_loop.py",
+)
+CROWDED = ("report", "test_docs.py")
 
 
 def pytest_collection_modifyitems(items):
@@ -61,57 +69,62 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+def _blank(figure, salt):
+    """Leave a figure undrawn: drawing takes most of a report's time."""
+    return "<svg></svg>"
+
+
+def _crowded(figure, salt):
+    """Draw a figure without seeking room for what it says, which takes half of the time."""
+    from wavequake.drawing import style
+
+    figure.set_layout_engine("none")
+    return style.svg_text(figure, salt)
+
+
+def _words(figure, salt):
+    """Write what a figure says, without drawing it."""
+    from matplotlib.text import Text
+
+    return f"<svg>{' '.join(one.get_text() for one in figure.findobj(Text))}</svg>"
+
+
 @contextmanager
-def _undrawn():
-    """Make the figures of pages, but do not draw them, which takes most of a report's time."""
+def _figures(drawn_by):
+    """Have the figures of pages drawn otherwise."""
     from wavequake.report import page  # after the threads of NumPy are set
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "svg_text", lambda figure, salt: "<svg></svg>")
+        patch.setattr(page, "svg_text", drawn_by)
         yield
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _drawn_where_figures_are_looked_at(request):
-    drawn = {request.path.parent.name, request.path.name} & {*DRAWN}
-    with nullcontext() if drawn else _undrawn():
+    names = {request.path.parent.name, request.path.name}
+    with nullcontext() if names & {*DRAWN} else _figures(_crowded if names & {*CROWDED} else _blank):
         yield
 
 
 @pytest.fixture
 def undrawn():
     """Leave figures undrawn in one test of a file that draws them."""
-    with _undrawn():
+    with _figures(_blank):
         yield
 
 
 @pytest.fixture
-def lettered(monkeypatch):
+def lettered():
     """Have figures say on pages what is written in them, in one test of a file that leaves them undrawn."""
-    from matplotlib.text import Text
-
-    from wavequake.report import page
-
-    def words(figure, salt):
-        return f"<svg>{' '.join(one.get_text() for one in figure.findobj(Text))}</svg>"
-
-    monkeypatch.setattr(page, "svg_text", words)
+    with _figures(_words):
+        yield
 
 
 @pytest.fixture
-def drawn(monkeypatch):
-    """Draw figures in one test of a file that leaves them undrawn, but do not seek room for what they say.
-
-    That takes half of the time; tests of reports in a browser do.
-    """
-    from wavequake.drawing import style
-    from wavequake.report import page
-
-    def crowded(figure, salt):
-        figure.set_layout_engine("none")
-        return style.svg_text(figure, salt)
-
-    monkeypatch.setattr(page, "svg_text", crowded)
+def drawn():
+    """Draw figures in one test of a file that leaves them undrawn; those in a browser are looked at."""
+    with _figures(_crowded):
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -208,10 +208,11 @@ def test_info_takes_the_names_of_telescopes_as_sensitivity_does(wavequake):
 
 
 def test_info_takes_every_name_that_it_offers(wavequake):
-    _, _, err = wavequake("info", "nonsense")
-    names = " ".join(err.split()).split("Bundled ones are ")[1].split(";")[0].split(", ")
-    assert {"tmt-18", "tmt-segments", "tmt-exposure", "euv"} < set(names)
-    for name in names:
+    assert "`wavequake studies` lists all" in " ".join(wavequake("info", "nonsense")[2].split())
+    listed = " ".join(wavequake("studies")[1].split())
+    names = listed.rpartition("and new: ")[2].removesuffix(".").split(", ")
+    assert {"tmt-18", "keck", "rubin", "euv"} < set(names)
+    for name in (*names, "tmt-exposure"):
         assert wq.load_system(name).surfaces
 
 
@@ -266,8 +267,8 @@ def test_bad_input_ends_with_one_sentence(wavequake, newton, tmp_path, old, new,
     ("words", "sentence"),
     [
         (["dubble-gauss"], "did you mean 'double-gauss'"),
-        (["tmt-19"], "did you mean 'tmt-18'"),
-        (["mirror-mo"], "'mirror-mo'. Bundled ones are"),
+        (["tmt-19"], "did you mean 'tmt-18' or"),
+        (["mirror-mo"], "'mirror-mo'. `wavequake studies` lists all"),
         (["tmt-18", "telescope.name=tmt"], "puts something else in the place of tmt-18"),
         (["nowhere.zmx"], "nowhere.zmx cannot be read"),
         (["tmt", "system.f_number=3"], "tmt is no study"),

@@ -240,7 +240,9 @@ def _end_with(known: dict[str, str]) -> NoReturn:
 
 
 def studies() -> None:
-    """List the bundled studies."""
+    """List the bundled studies, systems and telescopes."""
+    from wavequake.optics.catalog.names import system_names
+    from wavequake.workflows.sensitivity_source import TELESCOPES
     from wavequake.workflows.study import bundled_titles
 
     table = Table(box=None)
@@ -249,6 +251,8 @@ def studies() -> None:
     for name, title in bundled_titles().items():
         table.add_row(name, title)
     out.print(table)
+    systems = dict.fromkeys((*system_names(), *TELESCOPES))
+    out.print(f"Systems and telescopes, for info, draw, sensitivity and new: {', '.join(systems)}.")
 
 
 _BEGIN, _RUN, _DECIDE, _SURE, _MEASURED, _PARTS = (

@@ -14,6 +14,7 @@ from wavequake.drawing.aperture import on_glass
 from wavequake.drawing.draw import described_study, draw, look
 from wavequake.drawing.labels import Labels
 from wavequake.drawing.layout import layouts, stretching
+from wavequake.drawing.light import field_names
 from wavequake.drawing.solid import model_scene, segment_skin, stretched, system_scene
 from wavequake.drawing.still import viewing
 from wavequake.drawing.style import svg_text
@@ -293,3 +294,9 @@ def test_studies_without_a_system_of_their_own_are_described(name, said):
 @pytest.mark.parametrize("name", ["tip-tilt-vibration", "double-gauss", "tmt-18", "euv-allowances"])
 def test_what_has_a_system_or_nothing_is_told_elsewhere(name):
     assert described_study(name) is None
+
+
+def test_fields_are_named_by_four_digits():
+    """5 arcmin."""
+    system = replace(optical_system("gregorian"), fields=np.deg2rad([[5.0 / 60.0, 0.0]]))
+    assert field_names(system) == ["(0.08333, 0) deg"]

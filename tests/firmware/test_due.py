@@ -105,6 +105,8 @@ def test_a_step_in_q31_stays_within_its_budget(folder, hit, compiler):
     """1000 instructions, converters and pins included: at 2 ms there are 168 000 cycles."""
     image = build("due", gains_of(REGULATOR, CHAIN), folder / compiler, prefer=compiler)
     due = DueDevice(image)
+    due.run(hit.adc[:300], hit.trigger[:300])
+    assert not due.instructions
     due.count = True
     due.run(hit.adc[:300], hit.trigger[:300])
     assert len(due.instructions) == 300

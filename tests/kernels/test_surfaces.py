@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes
+from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_sag_and_slopes, conic_slopes
 
 CURVATURES = st.floats(-1e-3, 1e-3).filter(lambda c: c == 0.0 or abs(c) > 1e-9)
 CONICS = st.floats(-4.0, 1.0)
@@ -26,6 +26,13 @@ def test_slopes_are_the_derivatives_of_the_sag(x, y, curvature, conic):
     across = (conic_sag(x + h, y, curvature, conic) - conic_sag(x - h, y, curvature, conic)) / (2.0 * h)
     along = (conic_sag(x, y + h, curvature, conic) - conic_sag(x, y - h, curvature, conic)) / (2.0 * h)
     assert conic_slopes(x, y, curvature, conic) == pytest.approx((across, along), rel=1e-7, abs=1e-8)
+
+
+@given(PLACES, PLACES, CURVATURES, CONICS)
+def test_sag_and_slopes_together_are_these_to_the_bit(x, y, curvature, conic):
+    found = conic_sag_and_slopes(x, y, curvature, conic)
+    apart = conic_sag(x, y, curvature, conic), *conic_slopes(x, y, curvature, conic)
+    np.testing.assert_array_equal(found, apart)
 
 
 def test_sag_of_a_sphere_ends_at_its_radius():

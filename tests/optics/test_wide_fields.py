@@ -16,6 +16,7 @@ from wavequake.optics.shapes.shapes import Conic
 from wavequake.optics.systems.info import info
 from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.optics.zemax.read import parse_zmx
 
 GLASS = Medium("glass", "constant", (1.8,))
 ZERO = np.zeros(1)
@@ -107,6 +108,14 @@ def test_light_of_wide_fields_is_launched_as_that_of_smaller_ones():
         slope = (found[2] - found[1]) / (steps[2] - steps[1])
         assert abs(found[3] - found[2] - slope * 1e-4) < 1e-8, name
         assert abs(found[1] - found[0] - slope * 1e-4) < 1e-8, name
+
+
+@pytest.mark.parametrize(("angle", "said"), [(90, True), (-90, True), (89, False), (100, False)])
+def test_lens_files_say_that_another_angle_than_90_degrees_is_traced_elsewhere(angle, said):
+    head = f"ENPD 1\nWAVM 1 0.55 1\nFTYP 0 0 1 1 0 0 0\nYFLN {angle}\n"
+    rows = "SURF 0\n  DISZ INFINITY\nSURF 1\n  STOP\n  DISZ 9\nSURF 2\n  DISZ 0\n"
+    system = parse_zmx(head + rows, "lens.zmx")
+    assert ("OpticStudio traces a field of 90 degrees as one of 89.8" in system.note) == said
 
 
 def test_light_from_behind_that_misses_is_refused_without_warnings():

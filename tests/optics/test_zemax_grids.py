@@ -132,7 +132,7 @@ HOLE = [*nodes(FLAT)[:-1], "GARR 25 0 0 0 0 1"]
     [
         ([], "surface 1 has no grid .GDAT and GARR."),
         (["GDAT 5 5 1 1 0 0.5 0", *nodes(FLAT)], "decentered or in other units"),
-        (["GDAT 4 5 1 1", *nodes(FLAT[:4])], "4 nodes along an axis; 5 are needed"),
+        (["GDAT 4 5 1 1", *nodes(FLAT[:4])], "4 nodes along an axis; 5 to .* are possible"),
         (["GDAT 5 5 1 1", *nodes(FLAT)[:-1]], "announces 25 nodes .*, 24 lines GARR follow"),
         (["GDAT 5 5 1 1", *nodes(FLAT)[:-1], "GARR 3 0 0 0 0 0"], "announces 25 nodes"),
         (["GDAT 5 5 1 1", *nodes(FLAT, 2)], "announces 25 nodes"),

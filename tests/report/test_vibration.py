@@ -2,6 +2,7 @@
 
 import io
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,12 +10,14 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from wavequake.drawing.periodogram import has_spectrum, spectrum
+import wavequake as wq
+from wavequake.drawing.periodogram import spectrum
 from wavequake.drawing.style import hover, svg_text
 from wavequake.drawing.ticks import number_powers
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
 from wavequake.imaging.exposures.mtf import ideal_mtf
 from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.mechanics.disturbances.folded import folded_lines, has_spectrum
 from wavequake.report.answers.sensitivity import conclusion
 from wavequake.report.exposures.psf_figures import annulus, frame_mtf, image_row, perfect_mtf, polygons
 from wavequake.report.page import VIEWED, inline_svg
@@ -23,6 +26,7 @@ from wavequake.report.table import radius
 from wavequake.report.vibration import histories_and_spectra
 from wavequake.viewer.view import _MAKERS
 from wavequake.words import unsaid
+from wavequake.workflows.early_notices import early_notices
 from wavequake.workflows.study import load_study, study_with
 
 
@@ -39,6 +43,72 @@ def test_a_sine_is_one_line_of_half_its_squared_amplitude():
     assert hertz[np.argmax(density)] == pytest.approx(50.0)
     assert density.max() * hertz[0] == pytest.approx(4.5)
     assert np.sort(density)[-2] < 1e-20
+
+
+LINE = """
+[study]
+name = "folded"
+workflow = "system-disturbance"
+[system]
+name = "gregorian"
+[optics]
+rays = 40
+[[disturbance]]
+name = "hum"
+model = "surface-vibration"
+of = ["M2"]
+lines = [{ frequency_hz = 310.0, amplitude = { dx_um = 0.1 } }]
+instants = 32
+[campaign]
+cases = 1
+"""
+
+
+def test_lines_above_half_the_rate_are_said_to_be_folded(tmp_path, monkeypatch):
+    """310 Hz at 320 instants a second looks like 10 Hz; as many instants as are asked for show it."""
+    monkeypatch.chdir(tmp_path)
+    Path("folded.toml").write_text(LINE)
+    study = load_study("folded.toml")
+    said = folded_lines(study.disturbance, "hum")
+    assert list(early_notices(study)) == [said]
+    assert "up to 310 Hz, above half the rate of its instants (160 Hz)" in said
+    report = wq.report(_run(study, "few")).read_text()
+    assert said in report
+    enough = int(re.search(r"instants = (\d+)", said)[1])
+    more = study_with(study, {"disturbance.hum.instants": enough})
+    assert folded_lines(more.disturbance, "hum") == ""
+    assert f"instants = {2 * enough} show" in folded_lines(more.disturbance, "hum", every=2)
+    assert list(early_notices(study_with(study, {"store.reduce": "summary"}))) == []  # nothing is drawn
+    assert "folded to lower" not in wq.report(_run(more, "more")).read_text()
+    for store, hertz in (("few", 10.0), ("more", 310.0)):
+        one = wq.open_store(store).isel(case=0)
+        at, density = spectrum(
+            one.time_s.to_numpy(), one.los_mm.isel(field=0, wavelength=0, axis=0).to_numpy()
+        )
+        assert at[density.argmax()] == pytest.approx(hertz, abs=at[0])
+    one_less = study_with(study, {"disturbance.hum.instants": enough - 1})
+    assert folded_lines(one_less.disturbance, "hum") == ""  # half the rate is the line: it is not folded
+    assert folded_lines(study_with(study, {"disturbance.hum.instants": enough - 2}).disturbance, "hum")
+    assert folded_lines(study_with(study, {"disturbance.hum.instants": 15}).disturbance, "hum") == ""
+
+
+@pytest.mark.parametrize(
+    ("study", "name", "words"),
+    [
+        ("jwst-segments", "jitter", "up to 30 Hz"),  # listed lines
+        ("tmt-segments", "wind", "up to 120 Hz.*shorten duration_s, as 14401"),  # modes of the supports
+        ("tmt-segments", "wind-shake", "up to 0.65 Hz"),  # a mode of the structure
+        ("telescope-structure", "wheel", "up to 352 Hz"),  # 5.28 times 4000 rpm
+        ("telescope-structure", "all", "up to 352 Hz"),  # what it holds
+    ],
+)
+def test_lines_of_every_source_are_known(study, name, words):
+    assert re.search(words, folded_lines(load_study(study).disturbance, name))
+
+
+def _run(study, store):
+    wq.run(study, store=store, on="serial")
+    return store
 
 
 def test_uneven_or_few_instants_have_no_spectrum():

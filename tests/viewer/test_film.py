@@ -259,6 +259,7 @@ def test_what_cannot_be_viewed_says_so(wavequake, tmp_path, store):
     code, out, _ = wavequake("view", store, "--case", 0, "--case", 2, "-o", tmp_path / "v.html")
     assert code == 0
     assert "shaken, case 0" in out
+    assert "case 0: shaken" not in out  # it is said once
     assert wavequake("draw", "euv", "--3d", "-o", tmp_path / "euv.html")[0] == 0
     assert "M6" in (tmp_path / "euv.html").read_text()
 

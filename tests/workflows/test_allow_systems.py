@@ -93,7 +93,7 @@ def test_shares_cost_alike_by_differences_of_full_traces(euv):
 
 
 def test_costs_share_out_and_rz_does_nothing(euv):
-    found = allowances(euv, "wfe_change", 0.05, 0.3, "cost", cases=100)
+    found = allowances(euv, "wfe_change", 0.05, 0.3, "cost", cases=200)
     assert found.check.low <= 0.3 <= found.check.high
     np.testing.assert_allclose(found.shares.sum(), 1.0, rtol=1e-9)
     limited = [row for row, axis in enumerate(found.axes) if axis != "rz"]

@@ -104,9 +104,13 @@ def test_the_command_takes_a_bare_name_and_says_where_it_wrote(folder, wavequake
 @pytest.mark.parametrize(
     ("name", "keys", "words"),
     [
-        ("jwsst", [], "There is no study and no optical system 'jwsst': did you mean 'jwst'[?] Bundled"),
-        ("", [], "There is no study and no optical system ''[.] Bundled ones are"),
-        ("nosuch", [], "There is no study and no optical system 'nosuch'[.] Bundled ones are"),
+        (
+            "jwsst",
+            [],
+            "There is no study and no optical system 'jwsst': did you mean 'jwst'[?] `wavequake",
+        ),
+        ("", [], "There is no study and no optical system ''[.] `wavequake studies` lists all"),
+        ("nosuch", [], "There is no study and no optical system 'nosuch'[.] `wavequake studies` lists all"),
         ("gone.zmx", [], "The lens file gone.zmx cannot be read"),
         (
             "herschel",

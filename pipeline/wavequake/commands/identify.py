@@ -78,7 +78,8 @@ def compare(
         return
     if of is not None or table is not None:
         raise UserError("--of and --output belong to telemetry: wavequake compare STORE DATA.csv.")
-    from wavequake.report.answers.comparison import compare_stores, comparison_table
+    from wavequake.report.answers.comparison import compare_stores
+    from wavequake.report.answers.comparison_table import comparison_table
 
     path = figure or stores[-1] / "comparison.png"
     out.print(comparison_table(*compare_stores(stores, path)))

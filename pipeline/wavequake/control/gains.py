@@ -21,7 +21,7 @@ from scipy.linalg import (
 )
 
 from wavequake.control.linear import Array, LinearModel
-from wavequake.control.modes import check_controllable, check_observable, check_stable, modes
+from wavequake.control.modes import check_controllable, check_observable, check_stable, grows, modes
 from wavequake.errors import UserError
 
 _REFINEMENTS = 3
@@ -44,7 +44,7 @@ def regulator_gain(model: LinearModel, q: ArrayLike, r: ArrayLike) -> Array:
     count, inputs = model.b.shape
     weight, cost = _weight(q, count, "Q"), _weight(r, inputs, "R")
     _positive(cost, "R")
-    lost = [mode for mode in modes(model) if mode.controllability < _HIDDEN and not mode.stable]
+    lost = [mode for mode in modes(model, only=grows) if mode.controllability < _HIDDEN]
     if lost:
         raise UserError(f"The regulator cannot be designed: the input does not drive {lost[0]}, which grows.")
     solution = _riccati(model.a, model.b, weight, cost)
@@ -80,7 +80,7 @@ def kalman_bucy_gain(model: LinearModel, q: ArrayLike, r: ArrayLike, g: ArrayLik
     into = np.eye(count) if g is None else np.asarray(g, dtype=np.float64).reshape(count, -1)
     weight, noise = _weight(q, into.shape[1], "Q"), _weight(r, len(model.c), "R")
     _positive(noise, "R")
-    lost = [mode for mode in modes(model) if mode.observability < _HIDDEN and not mode.stable]
+    lost = [mode for mode in modes(model, only=grows) if mode.observability < _HIDDEN]
     if lost:
         raise UserError(
             f"The filter cannot be designed: the measurement does not see {lost[0]}, which grows."
@@ -204,10 +204,8 @@ def _scaled(a: Array, b: Array, q: Array, r: Array) -> tuple[Array, Array, Array
 
 def _idles(model: LinearModel) -> bool:
     """Return whether a mode neither decays nor grows, and the outputs do not see it."""
-    return any(
-        abs(mode.pole.real) <= _LASTS * abs(mode.pole) and mode.observability < _HIDDEN
-        for mode in modes(model)
-    )
+    lasting = modes(model, only=lambda pole: abs(pole.real) <= _LASTS * abs(pole))
+    return any(mode.observability < _HIDDEN for mode in lasting)
 
 
 def _idle(model: LinearModel) -> str:

@@ -1,5 +1,6 @@
 """Which modes of a model are unstable, unobservable or uncontrollable: reports that name them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,8 +50,10 @@ class Mode:
         return f"mode {self.number} ({self.omega:.4g} rad/s, {self.omega / 2 / np.pi:.3g} Hz)"
 
 
-def modes(model: LinearModel) -> tuple[Mode, ...]:
-    """Return the modes of a continuous model and how well outputs see and inputs drive each.
+def modes(model: LinearModel, only: Callable[[complex], bool] = lambda pole: True) -> tuple[Mode, ...]:
+    """Return the modes of a continuous model, and how well outputs see and inputs drive each.
+
+    Those whose poles are not asked for are left out: two singular value decompositions each.
 
     The test is that of Popov, Belevitch and Hautus: a mode is observable if C maps no vector of the null
     space of A - λ I to zero. Repeated poles are one mode. A is balanced first, so that units of the states
@@ -76,7 +79,13 @@ def modes(model: LinearModel) -> tuple[Mode, ...]:
     return tuple(
         Mode(number, value, _seen(a, c, value, norm), _seen(a.T, b.T, value, norm))
         for number, value in enumerate(found, start=1)
+        if only(value)
     )
+
+
+def grows(pole: complex) -> bool:
+    """Whether a mode does not decay."""
+    return not pole.real < 0.0
 
 
 def _near(value: complex, norm: float) -> float:
@@ -122,7 +131,7 @@ def check_controllable(model: LinearModel, what: str = "The regulator") -> None:
 
 def check_stable(model: LinearModel, what: str = "The model") -> None:
     """Raise UserError that names the modes which do not decay."""
-    growing = [mode for mode in modes(model) if not mode.stable]
+    growing = list(modes(model, only=grows))
     if growing:
         worst = max(growing, key=lambda mode: mode.pole.real)
         raise UserError(f"{what} is unstable: {_listed(growing)} grows, real part {worst.pole.real:.3g} 1/s.")

@@ -26,7 +26,7 @@ from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.zemax.read import read_zmx
 from wavequake.workflows.overrides import split_overrides
 from wavequake.workflows.sensitivity_source import TELESCOPES
-from wavequake.workflows.study import bundled_studies, load_study
+from wavequake.workflows.study import bundled_studies, load_study, near_matches
 
 _ARCMIN = np.pi / 180.0 / 60.0
 _MM_PER_NM = 1e-6
@@ -165,11 +165,10 @@ def _named(name: str, keys: dict[str, Any]) -> Seen:
             raise UserError(f"{name} is no study, so it has no keys to set, such as {next(iter(keys))!r}.")
         return Seen(optical_system(name))
     if not is_study:
-        known = ", ".join(dict.fromkeys((*system_names(), *TELESCOPES)))
+        known = (*bundled_studies(), *system_names(), *TELESCOPES)
         raise UserError(
-            f"There is nothing called {name!r} to draw. Bundled systems and telescopes are {known}; "
-            "`wavequake studies` lists studies; of your own: a .zmx lens file, or a .toml study, "
-            "in which a [model] names the files of a finite-element model."
+            f"There is nothing called {name!r} to draw{near_matches(name, known)}; of your own: a .zmx lens "
+            "file, or a .toml study, in which a [model] names the files of a finite-element model."
         )
     return _of_study(load_study(name, keys))
 

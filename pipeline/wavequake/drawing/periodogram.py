@@ -3,10 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from wavequake.mechanics.disturbances.folded import has_spectrum
 
-_FEWEST = 16  # instants of a spectrum
-_UNEVEN = 1e-3  # of the step
+__all__ = ["has_spectrum", "spectrum"]
+
+Array = NDArray[np.float64]
 
 
 def spectrum(time: Array, values: Array) -> tuple[Array, Array]:
@@ -29,9 +30,3 @@ def spectrum(time: Array, values: Array) -> tuple[Array, Array]:
     if count % 2 == 0:
         found[-1] /= 2.0  # the highest frequency has no twin
     return np.asarray(np.fft.rfftfreq(count, step)[1:], dtype=np.float64), found
-
-
-def has_spectrum(time: Array) -> bool:
-    """Return whether instants are many enough and evenly spaced."""
-    steps = np.diff(time)
-    return len(time) >= _FEWEST and bool(np.ptp(steps) <= _UNEVEN * steps.mean()) and steps.mean() > 0.0

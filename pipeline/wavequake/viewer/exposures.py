@@ -70,7 +70,7 @@ def takes_of(
     for controller in CONTROLLERS:
         if controller != STATIC:
             takes.append(_take(control, stage, drawn, case, controller, motion, device))
-            tell(f"case {case}: {takes[-1].label}")
+            tell(takes[-1].label)
     alike = same_reach([take.maps[0] for take in takes])
     return [replace(take, maps=(shown, *take.maps[1:])) for take, shown in zip(takes, alike, strict=True)]
 

@@ -49,7 +49,7 @@ def film_of(
         takes = []
         for case in cases:
             takes.append(take_of(bench, case, device))
-            tell(f"case {case}: {takes[-1].label}")
+            tell(takes[-1].label)
     return (stage_of_telescope(bench),), tuple(takes)
 
 

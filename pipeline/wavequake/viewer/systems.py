@@ -41,7 +41,7 @@ def film_of(
     with threadpool_limits(1):
         for case in list(chosen) or _worst(dataset):
             takes.append(_take(bench, dataset, case, stage, surfaces, nodes))
-            tell(f"case {case}: {takes[-1].label}")
+            tell(takes[-1].label)
     return (stage,), tuple(takes)
 
 

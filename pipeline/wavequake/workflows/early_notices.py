@@ -4,18 +4,25 @@ from collections.abc import Iterator
 
 from wavequake.campaign.schema import Study
 from wavequake.chain.doubts import doubts
+from wavequake.mechanics.disturbances.folded import folded_lines
+from wavequake.mechanics.disturbances.population import Population
 from wavequake.words import counted
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.systems.out_of_focus import out_of_focus
 
+_OF_INSTANTS = ("system-disturbance", "segment-disturbance")  # their reports draw spectra over instants
 _MOST_LISTED = 10_000  # cases; more leave no disturbance out
 
 
 def early_notices(study: Study) -> Iterator[str]:
-    """Yield sentences on doubtful units, disturbances without a case, and optics that are out of focus."""
+    """Yield sentences on doubtful units, disturbances without a case, folded lines, optics out of focus."""
     yield from doubts(study)
     yield from without_cases(study)
     yield from out_of_focus(study)
+    if study.study.workflow in _OF_INSTANTS and study.store.reduce == "none":
+        entries: tuple[Population, ...] = getattr(study, "disturbance", ())
+        named = (one.name for one in entries if one.share)
+        yield from filter(None, (folded_lines(entries, name, study.store.every) for name in named))
 
 
 def without_cases(study: Study) -> Iterator[str]:

@@ -19,7 +19,7 @@ from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, wavelength_of
 from wavequake.optics.zemax.read import read_zmx
 from wavequake.workflows.sensitivity_source import TELESCOPES
-from wavequake.workflows.study import bundled_studies, load_study
+from wavequake.workflows.study import bundled_studies, load_study, near_matches
 
 _MODELS = (*READERS, ".mtx")
 _MOUNTS, _SURFACE = r"INTERF|MOUNT|SUPPORT|BASE|FIX", r"SURF|OPTIC|FRONT|MIRROR|TOP"
@@ -88,10 +88,10 @@ def _text(source: str, folder: Path) -> str:
         return _of_system(optical_system(source), f"name = {_quoted(source)}", source)
     if suffix in _MODELS:
         return _of_model(Path(source), _from(folder, source))
+    known = (*bundled_studies(), *system_names(), *TELESCOPES)
     raise UserError(
-        f"There is nothing called {source!r} to begin a study with; give the name of a bundled study "
-        f"({', '.join(bundled_studies())}), system ({', '.join(system_names())}) or telescope "
-        f"({', '.join(TELESCOPES)}), a lens file (.zmx), or a model ({', '.join(_MODELS)})."
+        f"There is nothing called {source!r} to begin a study with{near_matches(source, known)}; of your "
+        f"own, give a lens file (.zmx) or a model ({', '.join(_MODELS)})."
     )
 
 

@@ -1,6 +1,5 @@
 """What sensitivities are taken of: a study, or a bundled system, telescope or lens file by itself."""
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ from wavequake.errors import UserError
 from wavequake.optics.catalog.names import system_names
 from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.workflows.overrides import split_overrides
-from wavequake.workflows.study import bundled_studies, load_study, study_of
+from wavequake.workflows.study import bundled_studies, load_study, near_matches, study_of
 
 # Telescopes are those of studies, with their light and rays.
 TELESCOPES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -75,11 +74,9 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
         return load_study(study, chosen | dict(keys))
     if not (is_file or is_system):
         known = tuple(dict.fromkeys((*bundled_studies(), *TELESCOPES, *system_names())))
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f": did you mean {near[0]!r}?" if near else "."
         raise UserError(
-            f"There is no study and no optical system {name!r}{hint} Bundled ones are {', '.join(known)}; "
-            "one of your own is a .toml or .zmx file."
+            f"There is no study and no optical system {name!r}{near_matches(name, known)}; one of your own "
+            "is a .toml or .zmx file."
         )
     return _bare(name, {"file": name} if is_file else {"name": name}, keys)
 

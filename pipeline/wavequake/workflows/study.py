@@ -174,6 +174,13 @@ def _model(record: Mapping[str, Any], where: str) -> type[Study]:
         raise UserError(f"{where}: study.workflow: {error}") from None
 
 
+def near_matches(name: str, known: Iterable[str]) -> str:
+    """Return the end of a sentence that there is no `name`: which ones are near, and what lists all."""
+    near = map(repr, difflib.get_close_matches(name, [*dict.fromkeys(known)], n=3))
+    meant = f": did you mean {listed}?" if (listed := " or ".join(near)) else "."
+    return f"{meant} `wavequake studies` lists all that are bundled"
+
+
 def _find(name: str) -> Path:
     bundled = bundled_studies()
     if name in bundled:
@@ -181,13 +188,11 @@ def _find(name: str) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    near = difflib.get_close_matches(name, bundled, n=1)
-    hint = f": did you mean {near[0]!r}?" if near else "."
     if path.suffix or path.parent != Path():
         there = "is no regular file" if path.exists() else "does not exist"
         what = "is a folder, not a study file" if path.is_dir() else there
         raise UserError(f"The file {name} {what}; `wavequake new` begins a study of your own.")
     raise UserError(
-        f"There is no study {name!r}{hint} Bundled studies are {', '.join(bundled)}; "
-        "a study of your own is a path to a .toml file."
+        f"There is no study {name!r}{near_matches(name, bundled)}; a study of your own is a path to a .toml "
+        "file."
     )

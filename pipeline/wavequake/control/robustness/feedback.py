@@ -6,8 +6,10 @@ itself.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import lu_factor, lu_solve, schur
 
 from wavequake.control.gains import kalman_bucy_gain, regulator_gain
 from wavequake.control.linear import Array, LinearModel
@@ -15,6 +17,8 @@ from wavequake.control.robustness.plant import Complex, Plant, linear
 from wavequake.errors import UserError
 
 _STEPS, _SETTLED = 20, 1e-10
+# Steps of inverse iteration from beside an eigenvalue, as a share of it.
+_INVERSE, _BESIDE = 3, 1e-10
 
 
 def lqg(model: Plant, effort: float, noise: float) -> LinearModel:
@@ -68,6 +72,12 @@ class Loop:
     plant: Plant
     controller: LinearModel
 
+    @cached_property
+    def triangular(self) -> tuple[Complex, Complex]:
+        """T and unitary Q of the controller's A = Q T Q^H, T triangular (Schur)."""
+        found, vectors = schur(self.controller.a, output="complex")
+        return np.asarray(found), np.asarray(vectors)
+
 
 def closed_matrix(loop: Loop) -> Array:
     """Return the matrix of the closed loop (2 n + r, 2 n + r), states (q, q', controller)."""
@@ -115,6 +125,16 @@ def closed_poles(loop: Loop) -> tuple[Complex, Pole]:
         complex(values[first]), int(energy.argmax()), float(energy.max() / max(energy.sum(), 1e-300))
     )
     return np.asarray(values[order], dtype=np.complex128), worst
+
+
+def vector_of(matrix: Array, value: complex) -> Complex:
+    """Return the vector of an eigenvalue that is known, by inverse iteration; in no unit."""
+    near = lu_factor(matrix - value * (1.0 + _BESIDE) * np.eye(len(matrix)), check_finite=False)
+    vector = np.random.default_rng(0).standard_normal(len(matrix)).astype(complex)
+    for _ in range(_INVERSE):
+        vector = lu_solve(near, vector, check_finite=False)
+        vector /= np.abs(vector).max()
+    return vector
 
 
 # Transfer matrix (m, p) of a plant at a complex frequency, and its derivative.

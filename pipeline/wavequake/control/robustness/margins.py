@@ -24,7 +24,7 @@ _STEP, _SMALL, _PASSES, _MOST = 0.3, 0.05, 12, 60_000
 _REAL = 1e-9
 # Peaks of the sensitivity that are followed to their tops.
 _TOPS = 5
-_BLOCK = 2048
+_BLOCK = 128
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,42 @@ def grid(loop: Loop, poles: Complex) -> Array:
 
 
 def controller_transfer(loop: Loop, s: Complex) -> Complex:
-    """Return the controller's transfer matrices (f, p, m) at complex frequencies (f,)."""
-    own, unit = loop.controller, np.eye(len(loop.controller.a))
-    found = [
-        own.c @ np.linalg.solve(s[first : first + _BLOCK, None, None] * unit - own.a, own.b.astype(complex))
-        for first in range(0, len(s), _BLOCK)
-    ]
+    """Return the controller's transfer matrices (f, p, m) at complex frequencies (f,).
+
+    By the triangular matrix of its Schur form at many frequencies at once, and one step of refinement: beside
+    a narrow pole rounding of the Schur form, which knows no zeros, is forty times that of a solution with A.
+    """
+    own = loop.controller
+    if len(s) == 1:
+        one = own.c @ np.linalg.solve(s[0] * np.eye(len(own.a)) - own.a, own.b.astype(complex))
+        return np.asarray(one, dtype=np.complex128)[None]
+    vectors = loop.triangular[1]
+    turned = vectors.conj().T
+    found = []
+    for first in range(0, len(s), _BLOCK):
+        some = s[first : first + _BLOCK]
+        shape = len(own.a), len(some), own.b.shape[1]
+        states = np.zeros(shape, dtype=np.complex128)
+        for _ in range(2):
+            left = own.b[:, None] - some[:, None] * states + _times(own.a, states)
+            states = states + _times(vectors, _solved(loop.triangular[0], some, _times(turned, left)))
+        found.append(np.moveaxis(_times(own.c, states), 0, 1))
     return np.concatenate(found)
+
+
+def _times(matrix: Array | Complex, states: Complex) -> Complex:
+    found: Complex = matrix @ states.reshape(len(states), -1)
+    return found.reshape(len(found), *states.shape[1:])
+
+
+def _solved(triangular: Complex, s: Complex, given: Complex) -> Complex:
+    """Return (s - T)^-1 of what is given (n, f, p), by back substitution."""
+    found = np.empty_like(given)
+    flat = found.reshape(len(given), -1)
+    for k in reversed(range(len(given))):
+        driven = triangular[k, k + 1 :] @ flat[k + 1 :]
+        found[k] = (given[k] + driven.reshape(len(s), -1)) / (s - triangular[k, k])[:, None]
+    return found
 
 
 def loop_gain(loop: Loop, omega: Array) -> Complex:
@@ -171,16 +200,23 @@ def _followed(loop: Loop, omega: Array) -> tuple[Array, Complex, Complex]:
 def _sorted(values: Complex) -> Complex:
     """Return eigenvalues (f, m) in an order in which each follows its predecessor."""
     count = values.shape[1]
-    found = values.copy()
-    for place in range(1, len(found)):
-        left = list(range(count))
-        row = found[place].copy()
-        for column in range(count - 1):
-            near = min(left, key=lambda one: abs(row[one] - found[place - 1, column]))
+    away = np.abs(values[1:, None, :] - values[:-1, :, None])
+    nearest = away.argmin(axis=2)
+    # Where each has a nearest one of its own, that follows it, whatever the order in which they choose.
+    alone = (np.sort(nearest, axis=1) == np.arange(count)).all(axis=1)
+    orders = [list(range(count))]
+    for place, (follows, apart) in enumerate(zip(nearest.tolist(), alone.tolist(), strict=True)):
+        if apart:
+            orders.append([follows[one] for one in orders[-1]])
+            continue
+        left, chosen = list(range(count)), []
+        for one in orders[-1][:-1]:
+            row = away[place, one]
+            near = min(left, key=lambda at, row=row: float(row[at]))  # type: ignore[misc]
             left.remove(near)
-            found[place, column] = row[near]
-        found[place, -1] = row[left[0]]
-    return found
+            chosen.append(near)
+        orders.append([*chosen, *left])
+    return np.take_along_axis(values, np.array(orders), axis=1)
 
 
 def _crossings(

@@ -113,7 +113,7 @@ class Core:
         rigid, *through = channels
         if self.back is None:
             plant = coupled(channels, self.sees, self.into, self.drives)
-            return plant, np.kron(rigid.c, np.eye(len(self.sees)))
+            return plant, np.asarray(np.kron(rigid.c, np.eye(len(self.sees))), dtype=np.float64)
         alone = len(self.sees) - len(through)
         models = (*[rigid] * alone, *through)
         seen = []
@@ -206,7 +206,7 @@ def sizes_of(channels: tuple[LinearModel, ...], hertz: Array) -> Complex:
     found = np.empty((len(hertz), len(channels)), dtype=np.complex128)
     period = channels[0].sample_time
     assert period is not None
-    z = np.exp(2j * np.pi * period * hertz)[:, None, None, None]
+    z = np.exp(1j * (2 * np.pi * hertz) * period)[:, None, None, None]
     for count in {len(one.a) for one in channels}:
         which = [place for place, one in enumerate(channels) if len(one.a) == count]
         a, b, c, d = (np.stack([getattr(channels[k], name) for k in which]) for name in "abcd")

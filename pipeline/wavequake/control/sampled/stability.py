@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.control.linear import Array, LinearModel, frequency_response
+from wavequake.control.robustness.feedback import vector_of
 from wavequake.control.robustness.margins import Margins
 from wavequake.control.sampled.alike import Parts, apart, coupled, sizes_of, stacked
 from wavequake.control.sampled.channel import Dynamics, Timing, in_series, sampled_channel
@@ -26,8 +27,6 @@ _UNUSED = 1e-13
 # A pole that turns by less than this in a period, rad, is real but for rounding.
 _STILL = 1e-9
 _ROUNDED = 1e-9
-# Steps of an inverse iteration that begins this near to a pole.
-_INVERSE = 3
 
 
 @dataclass(frozen=True)
@@ -152,12 +151,7 @@ class _Closed:
 
     def swings(self, factor: float, value: complex) -> Array:
         """Return by how much channels (p,) take part in a pole of the loop of several directions."""
-        step = self.step(factor)
-        near = step - value * (1.0 + _ROUNDED) * np.eye(len(step))
-        state = np.random.default_rng(0).standard_normal(len(step)).astype(complex)
-        for _ in range(_INVERSE):
-            state = np.linalg.solve(near, state)
-            state /= np.abs(state).max()
+        state = vector_of(self.step(factor), value)
         return np.asarray(np.abs(self.answers @ state[: self.answers.shape[1]]))
 
 
@@ -165,7 +159,7 @@ def _closed(loop: SampledLoop, parts: Parts | None) -> _Closed:
     channels, period, p = loop.channels(), loop.timing.period, loop.sees.shape[1]
     if parts is None:
         own, several = model_of(loop.regulator, period), plant_model(loop)
-        answers = np.kron(channels[0].c, np.eye(p))
+        answers = np.asarray(np.kron(channels[0].c, np.eye(p)), dtype=np.float64)
         nothing = np.zeros(0, dtype=complex), np.zeros((p, 0))
         return _Closed(channels[0], own, *nothing, several, own, answers)
     own = filter_of(loop.regulator)
@@ -248,13 +242,14 @@ def _loop_gain(loop: SampledLoop, parts: Parts | None) -> LoopGain:
     channels, period = loop.channels(), loop.timing.period
     if parts is None:
         model = model_of(loop.regulator, period)
-
-        def plant(one: SampledLoop, hertz: Array) -> Complex:
-            sizes, (shown, drives) = sizes_of(one.channels(), hertz)[:, None], one.modes()
-            return np.asarray(one.sees * sizes[..., :1] + (shown * sizes[..., 1:]) @ drives)
+        sights = [(one.channels(), one.sees, *one.modes()) for one in loop.parts()]
 
         def full(hertz: Array) -> Complex:
-            seen = np.concatenate([plant(one, hertz) for one in loop.parts()], axis=1)
+            plants = []
+            for through, sees, shown, drives in sights:
+                sizes = sizes_of(through, hertz)[:, None]
+                plants.append(sees * sizes[..., :1] + (shown * sizes[..., 1:]) @ drives)
+            seen = np.concatenate(plants, axis=1)
             return np.asarray(-frequency_response(model, 2 * np.pi * hertz) @ seen)
 
         return LoopGain(
@@ -322,7 +317,13 @@ def curve(loop: SampledLoop, hertz: Array) -> LoopCurve:
     the frequencies, or these margins are not seen.
     """
     inside = below_half(hertz, loop.timing)
-    return curve_of_loci(_loop_gain(loop, parts_of(loop)).loci(hertz[inside]), inside)
+    parts = parts_of(loop)
+    gain = _loop_gain(loop, parts)
+    if parts is None or not loop.structure:
+        return curve_of_loci(gain.loci(hertz[inside]), inside)
+    # Pairs of equal modes are told apart by rounding: stores have those of the whole matrix.
+    loci = [np.linalg.eigvals(gain.whole(float(one))) for one in hertz[inside]]
+    return curve_of_loci(np.array(loci), inside)
 
 
 def below_half(hertz: Array, timing: Timing) -> NDArray[np.bool_]:

@@ -224,10 +224,12 @@ def walk(
 def _into(pose: Array, state: State) -> None:
     """Change to the frame of the next element: q = A p + o; `pose` is (t, 12)."""
     entries = pose.T[..., None]
-    state.position = np.stack(
-        [_dot(entries[3 * i : 3 * i + 3], state.position) + entries[9 + i] for i in range(3)]
-    )
-    state.direction = np.stack([_dot(entries[3 * i : 3 * i + 3], state.direction) for i in range(3)])
+    position, direction = np.empty(state.position.shape), np.empty(state.direction.shape)
+    for i in range(3):
+        row = entries[3 * i : 3 * i + 3]
+        np.add(_dot(row, state.position), entries[9 + i], out=position[i])
+        direction[i] = _dot(row, state.direction)
+    state.position, state.direction = position, direction
 
 
 def _bend(

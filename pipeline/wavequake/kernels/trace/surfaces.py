@@ -44,11 +44,12 @@ def conic_sag_and_slopes(
     x: ArrayLike, y: ArrayLike, curvature: ArrayLike, conic: ArrayLike
 ) -> tuple[Array, Array, Array]:
     """Return what `conic_sag` and `conic_slopes` do, to the bit, from one square root."""
-    square = np.square(x) + np.square(y)
+    across, along, c = (np.asarray(one, dtype=np.float64) for one in (x, y, curvature))
+    square = np.square(across) + np.square(along)
     with np.errstate(invalid="ignore", divide="ignore"):
-        root = np.sqrt(1.0 - (1.0 + np.asarray(conic)) * np.square(curvature) * square)
-        factor = np.where(root > 0.0, curvature / root, np.nan)
-        return curvature * square / (1.0 + root), factor * x, factor * y
+        root: Array = np.sqrt(1.0 - (1.0 + np.asarray(conic, dtype=np.float64)) * np.square(c) * square)
+        factor: Array = np.where(root > 0.0, c / root, np.nan)
+        return c * square / (1.0 + root), factor * across, factor * along
 
 
 def conic_path(

@@ -9,6 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 NonNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 
+MOST_ON_AXIS = 4096
+"""Instants of a case, of what is not given over time by a file."""
+
 
 class Population(BaseModel):
     """One population of cases: frozen, strict, unknown keys are errors."""
@@ -18,7 +21,7 @@ class Population(BaseModel):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", description="also names its random numbers")
     duration_s: float = Field(default=0.1, gt=0, le=1e5, description="time that one case covers")
     instants: int = Field(
-        default=16, ge=1, le=4096, description="at (i + 1) duration / n; multiples of 16 fill tiles"
+        default=16, ge=1, le=MOST_ON_AXIS, description="at (i + 1) duration / n; multiples of 16 fill tiles"
     )
     share: int = Field(
         default=1,

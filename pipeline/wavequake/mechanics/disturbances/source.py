@@ -119,6 +119,11 @@ class Source(Population):
         """Return the instants (n,) in s of what is given over time, which a study then takes; else None."""
         return None
 
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """Return the frequencies of its lines, harmonics and modes that its keys name."""
+        lines = getattr(self, "lines", ())
+        return tuple(line.frequency_hz for line in lines if hasattr(line, "frequency_hz"))
+
     def lasts_s(self) -> float:
         """Return the time in s after which nothing is known of it: of a combination that holds it, too."""
         return np.inf

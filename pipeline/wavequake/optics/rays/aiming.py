@@ -209,8 +209,8 @@ def point_name(system: OpticalSystem, point: Array) -> str:
     """Return a field point in words, such as ``(0, 10) deg``."""
     x, y = point
     if np.isinf(system.object_distance):
-        return f"({np.rad2deg(x) + 0.0:.5g}, {np.rad2deg(y) + 0.0:.5g}) deg"
-    return f"({x:.5g}, {y:.5g}) mm"
+        return f"({np.rad2deg(x) + 0.0:.4g}, {np.rad2deg(y) + 0.0:.4g}) deg"
+    return f"({x:.4g}, {y:.4g}) mm"
 
 
 def _aimed(aim: Aim, numbers: Array, target: Array) -> NDArray[np.bool_]:

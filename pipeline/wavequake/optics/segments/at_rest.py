@@ -1,6 +1,7 @@
-"""A telescope at rest and with M2 turned a little: traced by the first process, and kept for the others."""
+"""A telescope at rest, and moved a little: traced by the first process, and kept for the others."""
 
-from dataclasses import make_dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, make_dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_
 from wavequake.optics.segments.telescope import M2
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import ARRAYS, Wavefront
 from wavequake.tables import kept
 
@@ -57,3 +59,35 @@ def _traced(prepared: PreparedTrace) -> Any:
     wavefront = analyse(prepared, traced, chief_rays(prepared, states))
     parts = {name: getattr(wavefront, name) for name in ARRAYS}
     return _Traced(**parts, status=np.asarray(traced.status[0, :, 0]))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    los: NDArray[np.float64]
+    zernike: NDArray[np.float64]
+
+
+def traced_once(
+    prepared: PreparedTrace, states: States, known_by: tuple[str, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return line of sight (T, 2), mm, and Noll coefficients (T, J), waves, of T instants.
+
+    As `at_rest` they come from NumPy, and are kept: by the texts from which all that is prepared follows, by
+    what the rays meet, and by the states.
+    """
+
+    def sight(*known_by: object) -> _Seen:
+        found = trace_states(prepared, states, choose_device("numpy"))
+        wavefront = analyse(prepared, found, chief_rays(prepared, states))
+        return _Seen(wavefront.los, wavefront.zernike)
+
+    rays = prepared.rays.x, prepared.rays.y, prepared.weight, prepared.fit.basis
+    parts = [getattr(one, name.name) for one in (prepared.train, states) for name in fields(one)]
+    found = kept(_Seen, sight, *known_by, prepared.wavelength, prepared.point, *rays, *_one_by_one(parts))
+    return found.los, found.zernike
+
+
+def _one_by_one(items: Iterable[object]) -> Iterator[object]:
+    """Yield items, and those of tuples among them alone: words for arrays within tuples are shortened."""
+    for one in items:
+        yield from one if isinstance(one, tuple) else (one,)

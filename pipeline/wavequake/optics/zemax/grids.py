@@ -48,9 +48,11 @@ def grid_sag(row: Row, scale: float, radius: float, conic: float) -> GridSag:
 
 def _count(head: Line, place: int, row: Row) -> int:
     count = as_integer(head, place)
-    if not FEWEST_NODES <= count <= MAX_NODES // FEWEST_NODES:
+    most = MAX_NODES // FEWEST_NODES
+    if not FEWEST_NODES <= count <= most:
         fail(
-            head, f"{row.label} has a grid of {count} nodes along an axis; {FEWEST_NODES} are needed at least"
+            head,
+            f"{row.label} has a grid of {count} nodes along an axis; {FEWEST_NODES} to {most} are possible",
         )
     return count
 

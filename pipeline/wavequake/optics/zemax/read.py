@@ -131,6 +131,7 @@ def system_of(
             system, notes = _with_real_chief_rays(system)
             notes += beside_stop(system, file)
             system = with_fields(system, file, scale)
+            notes += _right_angles(system)
     problems.require_none(file)
     system = replace(system, pupil=replace(system.pupil, apodization=apodization))
     system = replace(system, note=" ".join([*_notes(file, configuration), *notes, *shelf.notes]))
@@ -156,6 +157,14 @@ def _with_real_chief_rays(system: OpticalSystem) -> tuple[OpticalSystem, list[st
         )
         return replace(system, telecentric=False), [sentence]
     return system, []
+
+
+def _right_angles(system: OpticalSystem) -> list[str]:
+    """Return a sentence about fields at right angles to the axis, by the semi-diameters of four fish-eyes."""
+    right = np.abs(np.abs(system.fields) - np.pi / 2.0) < 1e-9
+    if math.isinf(system.object_distance) and right.any():
+        return ["OpticStudio traces a field of 90 degrees as one of 89.8; here it is 90."]
+    return []
 
 
 def _called(name: str, configuration: int | None) -> str:

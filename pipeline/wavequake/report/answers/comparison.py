@@ -17,22 +17,18 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.table import Table
-from rich.text import Text
 
 from wavequake.campaign.contract import DONE
 from wavequake.campaign.statistics.blocks import few_at_once
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.figures import STYLE, one_panel
-from wavequake.report.table import difference, empty_table, number
 
 CONFIDENCE = 0.95
 # Coordinates over which measures are averaged, so that two stores must have the same.
 _AXES = {"field", "field_x", "field_y", "wavelength", "frequency", "excitation", "controller", "shortcut"}
 _NO_LABELS = {"case", "status", "message"}
 _IMAGES = {"exposure", "psf"}
-_SEEN = 5e-5  # relative differences that the table does not round to zero
 _CLOCKS = {"seconds", "reduce_seconds"}  # readings of a clock, which say nothing of the models
 _MIXED = {"noll", "segment", "dof", "surface", "term"}  # dims of numbers that no mean may mix
 
@@ -261,79 +257,18 @@ def _image_difference(one: xr.DataArray, two: xr.DataArray) -> NDArray[np.float6
     return np.asarray(np.sqrt(((second - first) ** 2).sum(over, skipna=False).to_numpy()))
 
 
-def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Table:
-    """Return the differences of all stores from the first as a table for the terminal."""
-    if any(one.variants for differences in comparisons for one in differences):
-        return _table_of_variants(names, comparisons)
-    table = empty_table(
-        ("", "measure", "cases", "first", "this", "difference", "relative"),
-        ("", "measure"),
-        caption=f"Means over paired cases; difference from {names[0]} with its 95 % confidence interval "
-        "(Student; of stratified cases by the scatter between their sets). Measures over time are rms values "
-        "per case, the Strehl ratio a mean; images: L2 norm of the difference of unit-energy images."
-        + _equal_ones(names, comparisons),
-    )
-    for name, differences in zip(names[1:], comparisons, strict=True):
-        table.add_row(Text(name, style="bold"))
-        for one in differences:
-            table.add_row(
-                Text(one.group),
-                one.measure if one.units == "1" else f"{one.measure} ({one.units})",
-                str(one.cases),
-                number(one.first),
-                number(one.second),
-                *difference(one.mean, one.margin, one.first, np.abs(one.differences).max()),
-            )
-    return table
-
-
-def _equal_ones(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> str:
-    """Say which stores do not differ from the first at all."""
-    equal = [
-        name
-        for name, differences in zip(names[1:], comparisons, strict=True)
-        if differences and not any(one.differences.any() for one in differences)
-    ]
-    return "".join(f" No case of {name} differs from {names[0]} in any of these." for name in equal)
-
-
-def _table_of_variants(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Table:
-    """Return how far the reduced models are apart, which no mean over them would say."""
-    table = empty_table(
-        ("", "measure", "variants", "median", "largest", "of", "there", "here"),
-        ("", "measure", "of"),
-        caption=f"Differences of reduced models of one name, from {names[0]}. Measures over time or "
-        "frequency are rms values; images: L2 norm of the difference of unit-energy images."
-        + _equal_ones(names, comparisons),
-    )
-    for name, differences in zip(names[1:], comparisons, strict=True):
-        table.add_row(Text(name, style="bold"))
-        for one in differences:
-            shares = one.relative
-            known = bool(np.isfinite(shares).any())
-            worst = int(np.nanargmax(np.abs(shares if known else one.differences)))
-            seen = not known or abs(shares[worst]) >= _SEEN
-            table.add_row(
-                Text(one.group),
-                one.measure if one.units == "1" else f"{one.measure} ({one.units})",
-                str(one.cases),
-                f"{np.nanmedian(shares):+.2%}" if known else number(float(np.median(one.differences))),
-                f"{shares[worst]:+.2%}" if known else number(float(one.differences[worst])),
-                Text(one.variants[worst] if seen else ""),
-                number(float(one.each[worst])),
-                number(float(one.each[worst] + one.differences[worst])),
-            )
-    return table
-
-
 @rc_context(STYLE)
 def comparison_figure(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Figure:
-    """Draw the mean differences, relative to the first store, with their confidence intervals."""
+    """Draw the mean differences, relative to the first store, with their confidence intervals.
+
+    Numbers that no store has otherwise are left out, unless all are alike.
+    """
+    changed = {_line(one) for part in comparisons for one in part if one.differences.any()}
     shown = [
         (_line(one), *_drawn(one), store)
         for store, differences in enumerate(comparisons)
         for one in differences
-        if one.first and np.isfinite(one.first)
+        if one.first and np.isfinite(one.first) and (_line(one) in changed or not changed)
     ]
     lines = list(dict.fromkeys(label for label, *_ in shown))
     figure, axes = one_panel(7.0, 1.2 + 0.24 * max(1, len(lines)))

@@ -59,6 +59,8 @@ class Detail:
         Pixel centers, lambda/D.
     bent : Bent, optional
         The glass of segments that deform.
+    folded : str
+        A sentence on lines and modes that its instants are too far apart for; empty where there are none.
     """
 
     case: int
@@ -78,6 +80,7 @@ class Detail:
     image_x: NDArray[np.float64]
     image_y: NDArray[np.float64]
     bent: Bent | None = None
+    folded: str = ""
 
     @cached_property
     def glass(self) -> NDArray[np.bool_]:

@@ -277,7 +277,7 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
             "Flat lines are static errors, waves are vibration; the band holds 90 % of the cases.",
         )
     )
-    pictures += _spectra(place, population)
+    pictures += _spectra(place, population, mine[0].folded if mine else "")
     return Section(population.name, pictures)
 
 
@@ -298,7 +298,7 @@ def _track(population: Population, detail: Detail) -> NDArray[np.float64]:
     return np.asarray(population.los[row] / (detail.airy_mas / 1.22))
 
 
-def _spectra(place: int, population: Population) -> Iterator[Picture]:
+def _spectra(place: int, population: Population, folded: str) -> Iterator[Picture]:
     """Yield history and spectrum of the worst case, where it has enough instants and something moves."""
     row = population.worst_index
     time, los, wfe = population.time_s[row], population.los[row], population.wfe_raw[row]
@@ -312,7 +312,8 @@ def _spectra(place: int, population: Population) -> Iterator[Picture]:
         f"d{place}-spectrum",
         f"Worst case over time and over frequency, case {population.cases[row]}",
         histories_and_spectra(time, series),
-        "Left what happens, right at which frequencies: peaks are resonances or the machine that shakes.",
+        f"Left what happens, right at which frequencies: peaks are resonances or the machine that shakes. "
+        f"{folded}".strip(),
     )
 
 

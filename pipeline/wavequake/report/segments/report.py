@@ -12,6 +12,7 @@ from rich.table import Table
 from wavequake.campaign.store.store import read_manifest
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import from_tiles
+from wavequake.mechanics.disturbances.folded import folded_lines
 from wavequake.mechanics.disturbances.registry import analytic_rms
 from wavequake.optics.segments.figures import figure_terms, glass_triangles
 from wavequake.optics.segments.layout import is_monolithic
@@ -117,6 +118,7 @@ def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset, pl
         image_x=dataset["x"].to_numpy() if images else np.zeros(0),
         image_y=dataset["y"].to_numpy() if images else np.zeros(0),
         bent=_bent(bench, drawn.motion.segment_figure, instants),
+        folded=folded_lines(bench.study.disturbance, drawn.population.name, bench.study.store.every),
     )
 
 

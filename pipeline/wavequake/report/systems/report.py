@@ -14,6 +14,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
 from wavequake.drawing.periodogram import has_spectrum
 from wavequake.kernels.device.devices import choose_device
+from wavequake.mechanics.disturbances.folded import folded_lines
 from wavequake.mechanics.disturbances.registry import Combine, instants_of
 from wavequake.optics.systems.kinematics import at_instant
 from wavequake.optics.systems.paraxial import paraxial
@@ -304,7 +305,8 @@ def _over_time(name: str, case: int, bench: SystemBench, dataset: xr.Dataset) ->
         f"{name}-time",
         f"Worst case of {name} over time and over frequency, case {case}, field {where}",
         histories_and_spectra(time[there], series),
-        "Left what happens, right at which frequencies: peaks are resonances or the machine that shakes.",
+        f"Left what happens, right at which frequencies: peaks are resonances or the machine that shakes. "
+        f"{folded_lines(bench.study.disturbance, name)}".strip(),
     )
 
 

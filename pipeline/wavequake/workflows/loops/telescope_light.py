@@ -16,13 +16,13 @@ from wavequake.chain.loops.reaction import Pushing
 from wavequake.chain.loops.structure import UNITS, Carrying, carrying, node_names
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.mechanics.assembly.answers import moved as split_outputs
 from wavequake.mechanics.disturbances.motion import Motion, generator, still
 from wavequake.mechanics.disturbances.registry import draw_case, instants_of, on_elements, parts
 from wavequake.optics.derivatives.central import DOFS, SIGNS, checked_derivative
 from wavequake.optics.segments import modal
+from wavequake.optics.segments.at_rest import traced_once
 from wavequake.optics.segments.modal import ModalModel, layout_of
 from wavequake.optics.segments.telescope import M2
 from wavequake.optics.systems.kinematics import rest_states
@@ -31,7 +31,7 @@ from wavequake.prepared import prepared
 from wavequake.workflows.bodies.nodes import moved_nodes, node_columns, with_nodes
 from wavequake.workflows.bodies.shaken import shaken_bodies
 from wavequake.workflows.bodies.stages import movable_bodies, movable_surfaces, stages_push
-from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, trace
+from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
 from wavequake.workflows.segments.launches import CaseDraw, add_surfaces, states_at_rest
@@ -294,8 +294,10 @@ def _traced_sight(control: ControlBench, what: str, step: float, p: int, put: Pu
     to_mas, to_nm = seen_units(control, control.study.optics.wavelength_nm)
     states = states_at_rest(control.bench, padded(4 * p))
     put(states, np.concatenate([factor * step * np.eye(p) for factor in SIGNS]))
-    found = trace(control.prepared, states, choose_device("numpy"))[1]
-    values = np.hstack([found.los * to_mas, found.zernike[:, 3:] * to_nm])[: 4 * p].reshape(4, p, -1)
+    study = control.study
+    known_by = tuple(one.model_dump_json() for one in (study.telescope, study.optics, study.wavefront))
+    los, zernike = traced_once(control.prepared, states, known_by)
+    values = np.hstack([los * to_mas, zernike[:, 3:] * to_nm])[: 4 * p].reshape(4, p, -1)
     moves = ~(np.ptp(values, axis=0).max(axis=1) <= _ROUNDED)
     slopes = checked_derivative(
         values * moves[:, None], step, what, "use other optics.rays", least=_UNSEEN / step

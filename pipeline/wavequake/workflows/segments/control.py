@@ -45,7 +45,9 @@ def modal_partner(study: Study) -> SegmentStudy:
     study.require_one_place("The modal model is")
     if study.rare is not None:
         raise UserError("Cases near a limit have no means of their own; take wavequake rare.")
-    return study_with(without_images(study), _MODAL)
+    partner = study_with(without_images(study), _MODAL)
+    assert isinstance(partner, SegmentStudy)
+    return partner
 
 
 def modal_numbers(partner: SegmentStudy, cases: NDArray[np.int64], device: str) -> dict[str, Array]:

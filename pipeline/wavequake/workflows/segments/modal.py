@@ -33,7 +33,7 @@ from wavequake.optics.wavefronts.quality import meets_marechal
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.draws import draw_realization, draw_realizations, sampling_plan
 from wavequake.workflows.segments.model import knows, model_of, motion_rows
-from wavequake.workflows.segments.template import computed
+from wavequake.workflows.segments.template import ERRORS, computed
 
 Array = NDArray[np.float64]
 Cases = NDArray[np.int64]
@@ -262,7 +262,7 @@ def _record(
 
 def _compare(arrays: dict[str, Array], row: int, full: ChunkResult, k: int) -> None:
     """Store the model's largest errors in case `row`, which is case `k` of a full trace."""
-    for name in ("wfe_rms_raw", "wfe_rms", "zernike", "los", "centroid"):
+    for name in ERRORS:
         error = np.abs(arrays[name][row] - full.arrays[name][k])
         if name in ("los", "centroid"):
             error = np.linalg.norm(error, axis=1)

@@ -13,6 +13,7 @@ from wavequake.chain.images.camera import camera_axes, camera_measures, frame_ax
 from wavequake.chain.images.extended import image_measures, lit_object_words
 from wavequake.optics.derivatives.central import DOFS
 from wavequake.prepared import prepared
+from wavequake.workflows.disturbed_study import modal_measures, wavefront_measures
 from wavequake.workflows.segments.bench import Bench, bench_of, benches_of, field_names, in_basis
 from wavequake.workflows.segments.exposures import object_at_rest
 from wavequake.workflows.segments.images import by_rays, camera_of
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 IMAGED = ("exposure", "peak", "ee50", "ee80", "exposure_focus", "object_image")
 # What is the same at all field points and wavelengths.
 OF_ALL_PLACES = ("time_s", "segment_piston_rms", "segment_motion")
+ERRORS = {"wfe_rms_raw": "nm", "wfe_rms": "nm", "zernike": "nm", "los": "mas", "centroid": "mas"}
+_BOUND = "; inf where rays may cross the edge of a segment"
 # What the modal model does not know.
 TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
 
@@ -47,7 +50,7 @@ def computed(study_text: str) -> dict[str, Variable]:
     if study.optics.light == "traced":
         return variables
     return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | dict(
-        template_of(_modal(), {}).per_case
+        template_of(modal_measures(ERRORS, _BOUND), {}).per_case
     )
 
 
@@ -111,68 +114,11 @@ def _weights() -> Iterator[Measure]:
     yield stored("modal_value", "1", words)
 
 
-def _modal() -> Iterator[Measure]:
-    """Yield what tells of the modal model's error."""
-    words = (
-        "0: numbers of the modal model; 1: of the modal model, and traced in full to measure its error; "
-        "2: of full traces, as the motion is beyond the model's range"
-    )
-    yield stored("traced", "1", words, dtype="int8")
-    words = (
-        "bound of the rms over the rays of the second order that the modal model leaves out; inf where rays "
-        "may cross the edge of a segment"
-    )
-    yield stored("modal_bound", "nm", words)
-    for name, unit, over in (
-        ("wfe_rms_raw", "nm", "the instants"),
-        ("wfe_rms", "nm", "the instants"),
-        ("zernike", "nm", "instants and terms"),
-        ("los", "mas", "the instants"),
-        ("centroid", "mas", "the instants"),
-    ):
-        words = f"largest error over {over} of the {name} of the modal model, where the case was traced to "
-        yield stored(f"modal_error_{name}", unit, words + "measure it")
-
-
 def _measures(bench: Bench) -> Iterator[Measure]:
-    study, over = bench.study, ("time",)
-    words = "time of the instant; NaN beyond the population's instants"
-    yield stored("time_s", "s", words, over, coordinate=True)
-    words = "wavefront error rms of the fitted Zernikes j >= 4 (piston and tilt removed)"
-    yield stored("wfe_rms", "nm", words, over)
-    words = "wavefront error rms over the rays on glass, piston removed"
-    yield stored("wfe_rms_raw", "nm", words, over)
-    words = "peak to valley of the wavefront over the rays on glass about their best-fit plane"
-    yield stored("wfe_pv", "nm", words, over)
-    yield stored(
-        "zernike",
-        "nm",
-        _coefficients(study),
-        ("time", "noll"),
-        attrs=_over_annulus(bench),
-        unknown=int(study.wavefront.method == "slopes"),
-    )
-    words = (
-        "line of sight of the best-fit plane relative to rest "
-        "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
-    )
-    yield stored("los", "mas", words, ("time", "axis"))
-    words = "geometric centroid of the rays, relative to rest"
-    yield stored("centroid", "mas", words, ("time", "axis"))
-    words = "rms distance of the rays' image points from their centroid"
-    yield stored("spot_rms", "mas", words, over)
-    yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", over)
+    study, attrs = bench.study, _over_annulus(bench)
+    yield from wavefront_measures(study.wavefront, ("time",), "on glass", on_sky=True, attrs=attrs)
     words = "rms over segments of the displacement along their normals"
-    yield stored("segment_piston_rms", "nm", words, over)
-    words = "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)"
-    yield stored("rayleigh", "1", words)
-    words = (
-        "share of instants with an rms over the rays on glass, piston and tilt removed, of at most "
-        "lambda/14 (Störkle 2018, Eq. 3.55)"
-    )
-    yield stored("marechal", "1", words)
-    words = "largest number of rays at an instant that miss the clear part of a mirror after M1"
-    yield stored("vignetted", "1", words)
+    yield stored("segment_piston_rms", "nm", words, ("time",))
     if study.imaging.enabled:
         words = "mean of the instants' point spread functions; 1 = peak of the perfect one"
         engine = {"engine": "rays" if by_rays(bench) else "segments"}
@@ -230,20 +176,3 @@ def _over_annulus(bench: Bench) -> dict[str, str]:
     """Return over which annulus the polynomials of the stored coefficients are orthogonal, as a label."""
     inner = bench.prepared.system.pupil.obscuration if bench.study.wavefront.basis == "annular" else 0.0
     return {"obscuration": repr(float(inner))}
-
-
-def _coefficients(study: SegmentStudy) -> str:
-    """Say what the stored Zernike coefficients are."""
-    wavefront = study.wavefront
-    basis = {
-        "annular": "annular Noll Zernike coefficients, total",
-        "circular": "equivalent circular Noll Zernike coefficients (Störkle 2018, Eq. 3.53), total",
-    }[wavefront.basis]
-    return basis + wavefront_source(wavefront.method, wavefront.reference)
-
-
-def wavefront_source(method: str, reference: str) -> str:
-    """Say what coefficients are from and about, where it is not the path lengths about the chief ray."""
-    slopes = ", from the slopes of the rays (Störkle 2018, Eq. 4.20), which do not know piston"
-    fitted = ", about the best-fit sphere's image point (Störkle 2018, section 3.3.3)"
-    return slopes * (method == "slopes") + fitted * (reference == "fitted")

@@ -9,19 +9,14 @@ from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.chain.images.camera import camera_axes, camera_measures, frame_axes
 from wavequake.chain.images.extended import image_measures, lit_object_words
 from wavequake.chain.images.system import expose
+from wavequake.workflows.disturbed_study import modal_measures, wavefront_measures
 from wavequake.workflows.mirrors.compared_models import ERRORS
-from wavequake.workflows.segments.template import wavefront_source
 from wavequake.workflows.systems.bench import NM_PER_MM, SystemBench, field_name
 from wavequake.workflows.systems.measure import shaped, wavefront_numbers
-from wavequake.workflows.systems.modal import TRACED_ONLY, modal_measures
+from wavequake.workflows.systems.modal import TRACED_ONLY, modal_errors_of
 from wavequake.workflows.systems.study import SystemStudy
 
 _OVER = ("time", "field", "wavelength")
-_BASES = {
-    "annular": "Noll Zernike coefficients",
-    "circular": "equivalent circular Noll Zernike coefficients (Störkle 2018, Eq. 3.53)",
-}
-_SPHERES = {"chief": "the chief ray", "fitted": "the best-fit sphere"}
 
 
 def measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Measure]:
@@ -30,45 +25,15 @@ def measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Me
         yield from _traced_measures(study, over_annulus)
         return
     yield from (one for one in _traced_measures(study, over_annulus) if one.name not in TRACED_ONLY)
-    yield from modal_measures(study)
+    bound = ", at the primary wavelength; inf where more moves than it knows"
+    yield from modal_measures(modal_errors_of(study), bound)
 
 
 def _traced_measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Measure]:
-    yield stored(
-        "time_s", "s", "time of the instant; NaN beyond the population's instants", ("time",), coordinate=True
-    )
-    yield stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4", _OVER)
+    rays = "that arrive"
+    yield from wavefront_measures(study.wavefront, _OVER, rays, on_sky=False, attrs=over_annulus)
     words = "rms of the wavefront's change from rest, of the fitted Zernikes j >= 4"
     yield stored("wfe_change", "nm", words, _OVER)
-    words = "wavefront error rms over the rays that arrive, piston removed, tilt about the image point of "
-    yield stored("wfe_rms_raw", "nm", words + _SPHERES[study.wavefront.reference], _OVER)
-    yield stored("wfe_pv", "nm", "peak to valley of the wavefront about its best-fit plane", _OVER)
-    source = wavefront_source(study.wavefront.method, study.wavefront.reference)
-    yield stored(
-        "zernike",
-        "nm",
-        f"{_BASES[study.wavefront.basis]}, total{source}",
-        (*_OVER, "noll"),
-        attrs=over_annulus,
-        unknown=int(study.wavefront.method == "slopes"),
-    )
-    words = (
-        "line of sight of the best-fit plane in the image, relative to rest "
-        "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
-    )
-    yield stored("los_mm", "mm", words, (*_OVER, "axis"))
-    words = "geometric centroid of the rays in the image, relative to rest"
-    yield stored("centroid_mm", "mm", words, (*_OVER, "axis"))
-    yield stored("spot_rms", "um", "rms distance of the rays' image points from their centroid", _OVER)
-    yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", _OVER)
-    words = "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)"
-    yield stored("rayleigh", "1", words, _OVER[1:])
-    words = (
-        "share of instants with an rms over the rays, piston and tilt removed, of at most lambda/14 "
-        "(Störkle 2018, Eq. 3.55)"
-    )
-    yield stored("marechal", "1", words, _OVER[1:])
-    yield stored("vignetted", "1", "largest number of rays at an instant that openings stop", _OVER[1:])
     yield stored("lost", "1", "largest number of rays at an instant that do not arrive", _OVER[1:])
     if study.imaging is not None:
         words = "mean of every instant's image at its line of sight, in all wavelengths; 1 = peak of the "

@@ -4,13 +4,12 @@ A random sample of the cases is traced in full besides, and the model's error is
 whose motion is too large for the model is traced in full instead. Both depend on nothing but the case.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.measures import Measure, stored
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import ElementMotion
@@ -211,7 +210,7 @@ def certificate(
 ) -> dict[str, Array]:
     """Return what is stored of the model's error in a case; ``full`` is empty where it was not traced."""
     found = {"traced": np.asarray(route, dtype=np.int8), "modal_bound": np.asarray(bound)}
-    for name in _errors_of(study):
+    for name in modal_errors_of(study):
         error = np.asarray(np.nan)
         if route == CERTIFIED and full:
             apart = np.abs(modal[name] - full[name])
@@ -220,24 +219,6 @@ def certificate(
     return found
 
 
-def _errors_of(study: SystemStudy) -> dict[str, str]:
+def modal_errors_of(study: SystemStudy) -> dict[str, str]:
+    """Return the measures whose errors are kept, with their units."""
     return _ERRORS | (_IMAGES if study.imaging is not None else {})
-
-
-def modal_measures(study: SystemStudy) -> Iterator[Measure]:
-    """Yield what tells of the modal model's error."""
-    words = (
-        "0: numbers of the modal model; 1: of the modal model, and traced in full to measure its error; "
-        "2: of full traces, as the motion is beyond the model's range"
-    )
-    yield stored("traced", "1", words, dtype="int8")
-    words = (
-        "bound of the rms over the rays of the second order that the modal model leaves out, at the primary "
-        "wavelength; inf where more moves than it knows"
-    )
-    yield stored("modal_bound", "nm", words)
-    for name, unit in _errors_of(study).items():
-        words = (
-            f"largest error of the {name} of the modal model in the case, where it was traced to measure it"
-        )
-        yield stored(f"modal_error_{name}", unit, words)

@@ -1,6 +1,5 @@
 """An optical system wherever it comes from: a bundled one, a Zemax lens file, a study."""
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,7 @@ from wavequake.workflows.overrides import split_overrides
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.study import SegmentStudy, segment_text
 from wavequake.workflows.sensitivity_source import TELESCOPES, sensitivity_study
-from wavequake.workflows.study import bundled_studies, load_study
+from wavequake.workflows.study import bundled_studies, load_study, near_matches
 from wavequake.workflows.systems.study import SystemStudy
 
 MM_PER_NM = 1e-6
@@ -80,12 +79,9 @@ def load_system(
         )
     is_telescope = name in TELESCOPES
     if not (is_study or is_telescope):
-        known = _names()
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f": did you mean {near[0]!r}?" if near else "."
         raise UserError(
-            f"There is no optical system {name!r}{hint} Bundled ones are {', '.join(known)}; "
-            "a system of your own is a .zmx or .toml file."
+            f"There is no optical system {name!r}{near_matches(name, _names())}; a system of your own is a "
+            ".zmx or .toml file."
         )
     study = sensitivity_study(name, keys) if is_telescope else load_study(source, keys)
     if isinstance(study, SystemStudy):

@@ -37,6 +37,10 @@ class CommonHistory(SegmentSource):
     frequency_hz: float = Field(default=10.0, gt=0, le=1e5, description="of the common history")
     ramp_s: float = Field(default=0.02, ge=0, description="time in which the motion swings in")
 
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """Return that of the common history."""
+        return (self.frequency_hz,)
+
     def draw(self, layout: SegmentLayout, time: NDArray[np.float64], randoms: Randoms) -> Motion:
         """Draw one realization."""
         return draw_common(self, layout, time, randoms(self.name))

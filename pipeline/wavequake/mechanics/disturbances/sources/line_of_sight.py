@@ -91,6 +91,10 @@ class LineOfSight(Source):
             raise ValueError(str(error)) from None
         return self
 
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """Return that of the structure's mode under wind shake; other spectra have no lines."""
+        return (self.windshake_mode_hz,) if self.spectrum == "tmt-windshake" else ()
+
     def draw(self, layout: SegmentLayout, time: NDArray[np.float64], randoms: Randoms) -> Motion:
         """Draw one realization."""
         return draw_sight(self, len(layout), time, randoms(self.name))

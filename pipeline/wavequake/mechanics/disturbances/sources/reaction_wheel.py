@@ -57,6 +57,10 @@ class ReactionWheel(PlantSource):
             raise ValueError(f"speed_rpm is {list(self.speed_rpm)}; it must be above 0 and not fall")
         return self
 
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """Return those of the harmonics of the fastest speed."""
+        return tuple(one.number * self.speed_rpm[1] / 60.0 for one in self.harmonics)
+
     def answer(self, plant: Plant, time: Array, random: Random) -> Array:
         """Return the steady vibration at one speed."""
         share = float(random.random(1)[0])

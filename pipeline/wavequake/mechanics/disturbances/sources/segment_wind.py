@@ -87,6 +87,10 @@ class SegmentWind(Source):
             )
         return self
 
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """Return those of the modes."""
+        return self.modes_hz
+
     def draw(self, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
         """Draw one realization."""
         return self.draw_several([layout], time, [randoms], [0])[0]

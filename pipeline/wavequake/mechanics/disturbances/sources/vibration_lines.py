@@ -98,6 +98,10 @@ class VibrationLines(Source):
         """Return that of all lines."""
         return lines_rms_mas(self), "mas"
 
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """Return those of the lines, listed or named."""
+        return tuple(line.frequency_hz for line in lines_of(self))
+
 
 def lines_of(parameters: VibrationLines) -> tuple[Line, ...]:
     """Return the lines one by one, whether they were listed or named."""
