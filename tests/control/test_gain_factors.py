@@ -150,6 +150,13 @@ def test_what_is_said_wrongly_of_a_factor_is_found_out():
         assert first_unstable(radius, margins._FACTORS, np.inf, judge) == pytest.approx(1.3, rel=1e-9)
 
 
+@pytest.mark.parametrize("factors", [margins._FACTORS, 1 / margins._FACTORS])
+@pytest.mark.parametrize("known", [None, True])
+def test_a_loop_that_grows_from_the_start_has_no_margin(factors, known):
+    """As one does whose poles are counted for rounding, above 1 by a little."""
+    assert first_unstable(lambda factor: 1.0 + 2e-9, factors, np.inf, lambda factor: known) == 1.0
+
+
 def test_a_graded_grid_is_close_where_poles_are():
     pole = np.exp(-0.02 + 2j * np.pi * 0.1)
     hertz = graded_grid(np.array([pole, pole.conj(), 1.0 + 0j, 0.0]), 1e-3)

@@ -299,7 +299,14 @@ def test_a_rod_that_is_not_known_is_refused(text, own, why):
         parse_zmx(text, "rod.zmx", own)
 
 
-@pytest.mark.parametrize(("text", "why"), [("", "holds no material"), ("A\n1\n2\n", "five lines")])
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "holds no material"),
+        ("A\n1\n2\n", "five lines"),
+        (RODS.replace("0.4", "1e200"), "rods.dat, line 4: '1e200' is no number of a rod"),
+    ],
+)
 def test_files_of_rods_need_six_lines_each(text, why):
     with pytest.raises(UserError, match=why):
         parse_rods(text, "rods.dat")

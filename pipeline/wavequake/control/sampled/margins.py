@@ -187,7 +187,8 @@ def first_unstable(
 ) -> float:
     """Return the first of rising or falling factors of the gain at which the loop becomes unstable.
 
-    Poles of size 1, as those of integrators that nothing sees, do not make it so. What `judge` knows of a
+    The first of all where it is unstable from the start. Poles of size 1, as those of integrators that
+    nothing sees, do not make it so. What `judge` knows of a
     factor without poles is believed but for the limit itself.
     """
     last = float(factors[0])
@@ -196,7 +197,7 @@ def first_unstable(
         if known is not False and radius(factor) - 1.0 > _ROUNDING:
             before = radius(last)
             if before - 1.0 > _ROUNDING:
-                return first_unstable(radius, factors, none)
+                return last if last == factors[0] else first_unstable(radius, factors, none)
             limit = 1.0 if before < 1.0 - _ROUNDING else 1.0 + _ROUNDING
             return float(brentq(lambda one, size: radius(one) - size, last, factor, (limit,), rtol=1e-10))
         last = factor

@@ -15,6 +15,7 @@ from wavequake.optics.media.glasses import Medium
 from wavequake.optics.text_file import read_text
 
 _OF_A_ROD = 6
+_MOST_OF_A_ROD = 1e3
 EXPORTED = "CC glasses of an exported lens file"
 """The line that a catalogue written here begins with."""
 
@@ -88,6 +89,11 @@ def parse_rods(text: str, where: str) -> dict[str, Medium]:
                 "C, K0, K1 and K2."
             )
         numbers = tuple(_number(word, f"{where}, line {place}") for place, word in rest)
+        for (place, word), value in zip(rest, numbers, strict=True):
+            if abs(value) > _MOST_OF_A_ROD:
+                raise UserError(
+                    f"{where}, line {place}: {word!r} is no number of a rod; {_MOST_OF_A_ROD:g} is the most."
+                )
         found[name.upper()] = Medium(name, "selfoc", numbers, catalogue=Path(where).stem.upper())
     if not found:
         raise UserError(f"{where} holds no material; each needs six lines: name, B, C, K0, K1 and K2.")
