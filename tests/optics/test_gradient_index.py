@@ -367,3 +367,9 @@ def test_a_medium_that_throws_all_light_away_is_refused(strength):
 def test_numbers_beyond_a_float_are_refused(medium):
     with pytest.raises(UserError, match="not finite"):
         info(system(medium, 20.0))
+
+
+def test_a_medium_that_takes_too_many_steps_is_refused():
+    medium = GradientIndex("x", constant(1.6), (-1e6,))
+    with pytest.raises(UserError, match="steps of 2e-05 mm through 20 mm of a medium .* 50000 at most"):
+        pack(system(medium, 20.0), WAVE)

@@ -35,6 +35,8 @@ from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
+_MOST_STEPS = 5e4  # from one surface to the next; the trace ends at twice as many, as rays wind
+
 
 def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
     """Return the surfaces of a system as the trace sees them at one wavelength.
@@ -63,6 +65,9 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
             index = medium_index(surface.medium, wavelength_mm)
             gradient = gradient_of(surface.medium, wavelength_mm)
         try:
+            if gradient is not None and number + 1 < len(system.surfaces):
+                behind = system.surfaces[number + 1].position - surface.position
+                _require_few_steps(gradient.step, float(np.linalg.norm(behind)))
             element = replace(_element(surface, index), gradient=gradient)
             if surface.phase is not None:
                 element = replace(element, phase=_phase(system, number, wavelength_mm))
@@ -73,6 +78,15 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
         pairs = zip(elements, senses(system, wavelength_mm), strict=True)
         elements = [replace(element, sense=1 if sense > 0.0 else -1) for element, sense in pairs]
     return Sequence(tuple(elements), start)
+
+
+def _require_few_steps(step: float, way: float) -> None:
+    """Raise UserError if a ray would take too many steps on its way through a gradient, mm."""
+    if way > _MOST_STEPS * step:
+        raise UserError(
+            f"rays would take {way / step:.1g} steps of {step:.1g} mm through {way:.4g} mm of a medium whose "
+            f"index changes so fast; {_MOST_STEPS:g} at most are traced"
+        )
 
 
 def _phase(system: OpticalSystem, number: int, wavelength: float) -> Phase | Focus:
