@@ -371,5 +371,5 @@ def test_numbers_beyond_a_float_are_refused(medium):
 
 def test_a_medium_that_takes_too_many_steps_is_refused():
     medium = GradientIndex("x", constant(1.6), (-1e6,))
-    with pytest.raises(UserError, match="steps of 2e-05 mm through 20 mm of a medium .* 50000 at most"):
+    with pytest.raises(UserError, match=r"steps of 2e-05 mm through 20 mm of a medium .* 50000 at most"):
         pack(system(medium, 20.0), WAVE)
