@@ -6,8 +6,7 @@ from wavequake.mechanics.disturbances.motion import counted_generator, piston_rm
 from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case, time_axis
 from wavequake.mechanics.disturbances.sources.common_history import (
     CommonHistory,
-    amplitude_generator,
-    amplitudes,
+    amplitudes_of_run,
     history,
 )
 
@@ -15,7 +14,7 @@ SWING = CommonHistory(name="swing", piston_nm=30.0, instants=10)
 
 
 def block(parameters, segments, first, cases, seed=3):
-    return amplitudes(parameters, segments, amplitude_generator(parameters, segments, seed, first), cases)
+    return amplitudes_of_run(parameters, segments, seed, first, cases)
 
 
 @pytest.mark.parametrize("segments", [1, 4, 18, 491])

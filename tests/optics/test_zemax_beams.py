@@ -131,7 +131,7 @@ def test_a_model_glass_whose_name_and_index_are_of_the_catalogue_is_that():
 
 
 def test_all_problems_are_told_at_once_with_their_lines(tmp_path):
-    text = lens("FTYP 0\nGFAC 1 1", glass="UNOBTAINIUM 0 0", behind="  TYPE NONSENSE\n")
+    text = lens("FTYP 0\nGFAC 1 9", glass="UNOBTAINIUM 0 0", behind="  TYPE NONSENSE\n")
     path = tmp_path / "lens.zmx"
     path.write_text(text)
     with pytest.raises(UserError) as told:

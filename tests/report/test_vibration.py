@@ -26,7 +26,7 @@ from wavequake.report.table import radius
 from wavequake.report.vibration import histories_and_spectra
 from wavequake.viewer.view import _MAKERS
 from wavequake.words import unsaid
-from wavequake.workflows.early_notices import early_notices
+from wavequake.workflows.early_notices import folded_notices
 from wavequake.workflows.study import load_study, study_with
 
 
@@ -70,7 +70,7 @@ def test_lines_above_half_the_rate_are_said_to_be_folded(tmp_path, monkeypatch):
     Path("folded.toml").write_text(LINE)
     study = load_study("folded.toml")
     said = folded_lines(study.disturbance, "hum")
-    assert list(early_notices(study)) == [said]
+    assert list(folded_notices(study)) == [said]
     assert "up to 310 Hz, above half the rate of its instants (160 Hz)" in said
     report = wq.report(_run(study, "few")).read_text()
     assert said in report
@@ -78,7 +78,7 @@ def test_lines_above_half_the_rate_are_said_to_be_folded(tmp_path, monkeypatch):
     more = study_with(study, {"disturbance.hum.instants": enough})
     assert folded_lines(more.disturbance, "hum") == ""
     assert f"instants = {2 * enough} show" in folded_lines(more.disturbance, "hum", every=2)
-    assert list(early_notices(study_with(study, {"store.reduce": "summary"}))) == []  # nothing is drawn
+    assert list(folded_notices(study_with(study, {"store.reduce": "summary"}))) == []  # nothing is drawn
     assert "folded to lower" not in wq.report(_run(more, "more")).read_text()
     for store, hertz in (("few", 10.0), ("more", 310.0)):
         one = wq.open_store(store).isel(case=0)
