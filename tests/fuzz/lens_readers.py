@@ -77,8 +77,7 @@ SHAPES = (  # of a surface of each type
     "CURV 0.01; ELOB 1 2; OBDC 0.1 0.2",
     "TYPE GRINSUR5; PARM 1 0.5; PARM 2 1.6; PARM 3 -0.001; PARM 4 1e-7",
     "TYPE HOLOGRM2; PARM 3 -200; PARM 6 150; PARM 7 0.55; PARM 8 1",
-    "CURV 0.01; USAP 0 0 0; OBDC 0 0; UDAD 0 a 1; UDAD 1 -3 -3 0; UDAD 2 -3 3 0; UDAD 3 3 3 0; UDAD 4 3 -3 0; "
-    "UDAD 5 0 0 0",
+    "CURV 0.01; USAP 0 0 0; OBDC 0 0; UDAD 0 a 1; UDAD 1 -3 -3 0; UDAD 2 -3 3 0; UDAD 3 3 3 0; UDAD 4 3 -3 0",
     "CURV 0.01; USOB 0 0 0; OBDC 1 0; UDAD 0 a 1; UDAD 1 -1 -1 0; UDAD 2 -1 1 0; UDAD 3 1 1 0; UDAD 4 0 0 0",
 )
 
