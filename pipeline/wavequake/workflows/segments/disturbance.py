@@ -45,11 +45,18 @@ from wavequake.workflows.segments.bench import (
     monolithic,
 )
 from wavequake.workflows.segments.draws import draw_realizations, sampling_plan, way_between
-from wavequake.workflows.segments.exposures import Gathered, add_images, exposed, frame_notices, gather
+from wavequake.workflows.segments.exposures import (
+    Gathered,
+    add_images,
+    coarse_figures,
+    exposed,
+    frame_notices,
+    gather,
+    images_of_stills,
+    ray_notices,
+)
 from wavequake.workflows.segments.images import (
     camera_of,
-    coarse_figures,
-    ray_notices,
     refuse_what_cannot_be_imaged,
 )
 from wavequake.workflows.segments.judged_models import judged
@@ -195,9 +202,14 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
             for piece in launch:
                 put_states(states, piece.place, bench, draws[piece.row], slice(piece.first, piece.last))
         with clock("trace"):
-            rays = trace_states(bench.prepared, states, device)
+            chief = chief_rays(bench.prepared, states)
+            rays = trace_states(bench.prepared, states, device, chief)
         with clock("wavefront"):
-            wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, states), device)
+            wavefront = analyse(bench.prepared, rays, chief, device)
+        stills: dict[int, Array] = {}
+        if "exposure" in arrays:
+            with clock("image"):
+                stills = images_of_stills(bench, wavefront, launch, draws, instants)
         for piece in launch:
             row, drawn = piece.row, draws[piece.row]
             messages[row] = messages[row] or lost_segment(bench.system, drawn, wavefront, piece)
@@ -212,7 +224,7 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
                 with clock("image"):
                     if row not in gathered:
                         gathered[row] = gather(bench, drawn.way)
-                    add_images(bench, gathered[row], rays, wavefront, piece)
+                    add_images(bench, gathered[row], rays, wavefront, piece, stills.get(row))
             except UserError as error:  # tilts that no image can be made of concern this case alone
                 messages[row] = str(error)
     status = np.full(len(draws), DONE, dtype=np.int8)
