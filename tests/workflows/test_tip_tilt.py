@@ -89,8 +89,8 @@ def test_draws_are_shared_by_the_loops_of_a_realization():
         ({"simulated.duration_s": 0.1}, "shorter than ten delays of 2 frames at 100 Hz"),
         ({"loop.noise_mas": 0.0}, "loop.noise_mas"),
         ({"loop.noise_mas": 1e300}, "loop.noise_mas: input should be less than or equal to"),
-        ({"loop.rates_hz": [100.0, 100.0]}, "a rate is listed twice"),
-        ({"loop.controllers": ["lqg", "lqg"]}, "a controller is listed twice"),
+        ({"loop.rates_hz": [100.0, 100.0]}, "100.0 is listed twice"),
+        ({"loop.controllers": ["lqg", "lqg"]}, "'lqg' is listed twice"),
     ],
 )
 def test_what_cannot_run_is_said_before(changes, words, tmp_path):

@@ -72,7 +72,7 @@ def figure_map(detail: Detail, bent: Bent) -> Figure:
     )
     rms = number(float(np.sqrt(np.mean(heights**2))))
     axes.set_title(f"Figures of the segments, {_instant(detail)}\nrms {rms} nm")
-    _colorbar(figure, axes, ScalarMappable(norm, colors), "height (nm)")
+    colorbar(figure, axes, ScalarMappable(norm, colors), "height (nm)")
     return figure
 
 
@@ -206,9 +206,13 @@ def _square(figure: Figure) -> Axes:
     return in_inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
 
 
-def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
+def colorbar(
+    figure: Figure, axes: Axes, mappable: ScalarMappable, label: str, top: Axes | None = None
+) -> None:
+    """Draw what colors mean beside axes in inches, and beside all that stand above them up to `top`."""
     box, (across, _) = axes.get_position(), figure.get_size_inches()
-    side = figure.add_axes((box.x1 + 0.1 / across, box.y0, 0.13 / across, box.height))
+    height = (top or axes).get_position().y1 - box.y0
+    side = figure.add_axes((box.x1 + 0.1 / across, box.y0, 0.13 / across, height))
     logarithmic = isinstance(mappable.norm, LogNorm)
     bar = figure.colorbar(
         mappable, cax=side, label=label, format=FuncFormatter(power_of_ten) if logarithmic else None
@@ -274,7 +278,7 @@ def _draw_segments(figure: Figure, axes: Axes, detail: Detail, numbers: bool = T
     rms = f", rms {number(float(np.sqrt(np.mean(values**2))))} nm" if values.any() else ""
     axes.set_title(f"M1 segments, {_instant(detail)}\n{meaning}{rms}")
     if values.any():
-        _colorbar(figure, axes, ScalarMappable(norm, colors), "displacement (nm)")
+        colorbar(figure, axes, ScalarMappable(norm, colors), "displacement (nm)")
 
 
 def _number_segments(figure: Figure, axes: Axes, detail: Detail, dark: NDArray[np.bool_]) -> None:
@@ -319,7 +323,7 @@ def _draw_opd(figure: Figure, axes: Axes, detail: Detail) -> None:
     else:
         axes.scatter(rays[:, 0] * 1e-3, rays[:, 1] * 1e-3, c=flat, s=4, cmap=_DIVERGING, norm=norm, lw=0)
     axes.set_title(f"Wavefront, {_instant(detail)}\npiston and tilt removed, rms {rms} nm")
-    _colorbar(figure, axes, ScalarMappable(norm, colormaps[_DIVERGING]), "OPD (nm)")
+    colorbar(figure, axes, ScalarMappable(norm, colormaps[_DIVERGING]), "OPD (nm)")
 
 
 def _draw_psf(
@@ -337,7 +341,7 @@ def _draw_psf(
     axes.set(xlabel="x (λ/D)", ylabel="y (λ/D)")
     peak = number(float(np.nanmax(image))) if np.isfinite(image).any() else "–"
     axes.set_title(f"Image, case {case}, mean of its instants\npeak {peak} of the perfect PSF")
-    _colorbar(figure, axes, shown, "irradiance / peak of the perfect PSF")
+    colorbar(figure, axes, shown, "irradiance / peak of the perfect PSF")
 
 
 def _draw_distributions(

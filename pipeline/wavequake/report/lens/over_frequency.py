@@ -8,7 +8,7 @@ from wavequake.report.loops.over_frequency import curves_of, heard_of, loops_ove
 from wavequake.report.loops.spectra import of_histories, spectra
 from wavequake.report.page import Picture, picture
 from wavequake.words import counted
-from wavequake.workflows.lens.bench import study_of
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.lens.loops import OPEN, looked
 from wavequake.workflows.loops.curves import frequencies, kept
 
