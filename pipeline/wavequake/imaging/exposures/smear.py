@@ -124,7 +124,7 @@ def add_smeared(smeared: Smeared, images: NDArray[np.floating], ways: Real, samp
 
 def smeared_image(smeared: Smeared, ways: Real, pixels: int, sampling: float) -> Real:
     """Return the exposure (N, N) of images (pixels, pixels) along all ways (n, m, 2), or a frame of it."""
-    mean = smeared.total / len(ways)
+    mean: NDArray[Any] = smeared.total / len(ways)
     if np.iscomplexobj(mean):
         return image_of(mean, pixels)
     rows, columns = mean.shape
