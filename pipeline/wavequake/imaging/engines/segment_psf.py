@@ -59,7 +59,7 @@ def psf(
     tolerance : float
         Largest error, relative to the perfect peak, that may come from ending the series in the slopes.
     device : Device
-        A GPU makes the images; for processors BLAS does, which is as fast as OpenCL could be.
+        A GPU makes the images, and by OpenCL a processor those in single precision; else NumPy does.
     bounds : ndarray, shape (degrees, batch), optional
         `truncation_error` of these phases, where it is known.
 
