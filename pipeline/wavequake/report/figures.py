@@ -189,7 +189,13 @@ def _square(figure: Figure) -> Axes:
 
 def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
     box, (across, _) = axes.get_position(), figure.get_size_inches()
-    place = box.x1 + 0.1 / across, box.y0, 0.13 / across, box.height
+    color_scale(figure, (box.x1 + 0.1 / across, box.y0, 0.13 / across, box.height), mappable, label)
+
+
+def color_scale(
+    figure: Figure, place: tuple[float, float, float, float], mappable: ScalarMappable, label: str
+) -> None:
+    """Draw the scale of colors at a place in shares of the figure; a logarithmic one at powers of ten."""
     side = figure.add_axes(place, axes_class=BareAxes)
     logarithmic = isinstance(mappable.norm, LogNorm)
     bar = figure.colorbar(
