@@ -17,6 +17,8 @@ _GARBAGE = 100_000, 50
 # A power of two, processor cycles: BLAS keeps its threads busy waiting for a hundredth of a second after each
 # product, a twentieth of a command that does little else than load.
 _WAITING = ("OPENBLAS_THREAD_TIMEOUT", "16")
+# Pydantic reads what every installed distribution declares, to see who wants to watch it.
+_UNWATCHED = ("PYDANTIC_DISABLE_PLUGINS", "1")
 # What SciPy has NumPy load and nothing uses: a compiler of Fortran, which needs a library that guesses the
 # encoding of files, and tests. They take as long as NumPy itself; now they load when something asks for them.
 _LATER = frozenset({"numpy.f2py", "numpy.testing"})
@@ -40,6 +42,7 @@ def main() -> None:
     """Run the command line, which takes a moment to load; SIGTERM and SIGHUP end it as Ctrl-C does."""
     gc.set_threshold(*_GARBAGE)
     os.environ.setdefault(*_WAITING)
+    os.environ.setdefault(*_UNWATCHED)
     sys.meta_path.insert(0, _Later())
     came: list[float] = []
 

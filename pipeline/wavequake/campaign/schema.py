@@ -29,7 +29,7 @@ Location = Sequence[str | int]
 class Section(BaseModel):
     """A table of a study file: frozen, strict, unknown keys are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
 
 def require_own_names(kind: str, blocks: Sequence[Any], taken: Sequence[str] = ()) -> None:

@@ -207,13 +207,16 @@ def _square(figure: Figure) -> Axes:
     return in_inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
 
 
-def colorbar(
-    figure: Figure, axes: Axes, mappable: ScalarMappable, label: str, top: Axes | None = None
-) -> None:
-    """Draw what colors mean beside axes in inches, and beside all that stand above them up to `top`."""
+def colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
+    """Draw what colors mean beside axes in inches."""
     box, (across, _) = axes.get_position(), figure.get_size_inches()
-    height = (top or axes).get_position().y1 - box.y0
-    place = box.x1 + 0.1 / across, box.y0, 0.13 / across, height
+    color_scale(figure, (box.x1 + 0.1 / across, box.y0, 0.13 / across, box.height), mappable, label)
+
+
+def color_scale(
+    figure: Figure, place: tuple[float, float, float, float], mappable: ScalarMappable, label: str
+) -> None:
+    """Draw the scale of colors at a place in shares of the figure; a logarithmic one at powers of ten."""
     side = figure.add_axes(place, axes_class=BareAxes)
     logarithmic = isinstance(mappable.norm, LogNorm)
     bar = figure.colorbar(
