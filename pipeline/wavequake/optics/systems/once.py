@@ -1,6 +1,6 @@
 """What is asked again and again of one system is computed once.
 
-It is small: no bit of it depends on how many threads BLAS has, as those of what `wavequake.prepared` keeps do.
+It is small: no bit of it depends on how many threads BLAS has, other than what `wavequake.prepared` keeps.
 """
 
 from collections import deque
@@ -19,7 +19,7 @@ _SYSTEMS = 4  # the latest that are remembered
 def once_per_system(
     function: Callable[Concatenate[OpticalSystem, P], R],
 ) -> Callable[Concatenate[OpticalSystem, P], R]:
-    """Decorate a function of a system, and of what can be a key, to remember its results; errors come anew."""
+    """Have a function of a system, and of what can be a key, remember its results; errors come anew."""
     known: deque[tuple[OpticalSystem, dict[Hashable, Any]]] = deque(maxlen=_SYSTEMS)
 
     @wraps(function)

@@ -171,7 +171,7 @@ def answers(plant: Plant, omega: Array, moved: Complex, time: Array) -> Array:
 
 @prepared(maxsize=2)
 def _gains(plant: Plant, frequencies: bytes) -> Complex:
-    """Return the outputs (w, 6, m) per unit motion of the cell along each axis: lines are those of all cases."""
+    """Return outputs (w, 6, m) per unit motion of the cell along each axis, at lines that all cases share."""
     omega = np.frombuffer(frequencies)
     units = np.zeros((6, len(omega), 6), dtype=np.complex128)
     for axis in range(6):
