@@ -53,7 +53,7 @@ def device(folder):
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_commands_are_those_of_the_host_bit_by_bit(folder, hit, compiler, variant):
-    """A step in floats, for which the processor has no unit, takes several times as long."""
+    """A quarter of the steps in floats: the processor has no unit for them, and they take far longer."""
     steps = STEPS // 4 if variant == "float" else STEPS
     adc, trigger = hit.adc[:steps], hit.trigger[:steps]
     assert trigger[: steps // 4].any()

@@ -73,7 +73,7 @@ def begin_workers(workflow: StudyKind, path: Path, on: str) -> None:
 
 
 def _have_workers_load(workflow: StudyKind, path: Path) -> None:
-    """Load what workers run once, in the process that they are forked from."""
+    """Load what workers run in the process that they are forked from; each would take a second for it."""
     prepare_workers(_TASKS, workflow.compute.__module__, *(["s3fs"] * isinstance(path, ObjectPath)))
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from math import isfinite
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from wavequake.optics.rays.search import ends, search
 from wavequake.optics.rays.stop_map import AIMED, Aim, Bundle, axes_across, determinant, newton, solved
 from wavequake.optics.systems.axis_ray import first_vertex_z
 from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.once import once_per_system
 from wavequake.optics.systems.paraxial import (
     Paraxial,
     entrance_pupil_center,
@@ -127,6 +129,33 @@ def aimed_rays(
         raise UserError(f"a field of {system.name} is {field.tolist()}; it must be 2 finite numbers")
     if x.ndim != 1 or x.shape != y.shape or not np.isfinite([*x, *y]).all():
         raise UserError("the pupil coordinates x and y must be two equally long lists of finite numbers")
+    aim, chief, slopes, radius, beam = _chief_of(system, (float(field[0]), float(field[1])), wavelength)
+    target = radius * np.stack([x, y])
+    numbers = newton(aim, chief + solved(slopes, target), target, chief)
+    status, surface = np.zeros(x.size, dtype=np.int8), np.full(x.size, -1, dtype=np.int8)
+    bad = np.flatnonzero(~_aimed(aim, numbers, target))
+    if bad.size:
+        found, arrived = search(aim, chief, target[:, bad], beam)
+        numbers[:, bad] = np.where(arrived, found, np.nan)
+        gone = bad[~arrived]
+        status[gone], surface[gone] = ends(aim, found[:, ~arrived], target[:, gone], beam, openings)
+    return AimedRays(aim.bundle.rays(numbers), status, surface)
+
+
+class _Chief(NamedTuple):
+    """How a field's rays are aimed: the chief ray's numbers (2, 1), the stop's radius and the beam's size."""
+
+    aim: Aim
+    numbers: Array
+    slopes: Array
+    radius: float
+    beam: float
+
+
+@once_per_system  # light of a field is aimed several times, and this is half of it
+def _chief_of(system: OpticalSystem, point: tuple[float, float], wavelength: float) -> _Chief:
+    """Return the chief ray of a field point; UserError if there is none."""
+    field = np.array(point)
     data = paraxial(system, wavelength)
     bundle, start = _bundle(system, data, field, wavelength, is_wide(field))
     to_stop, poses = _up_to_stop(system, wavelength)
@@ -141,21 +170,12 @@ def aimed_rays(
             where = _where(system, field, wavelength)
             raise UserError(_no_chief(system, aim, start[:, None], last, beam, where))
         chief = followed
-    target = radius * np.stack([x, y])
     _, slopes = aim.meet_with_slopes(chief)
     if abs(determinant(slopes)[0]) * beam**2 < 1e-12 * radius**2:
         raise UserError(
             f"the stop of {system.name} lies in an image of its object and limits no cone of light"
         )
-    numbers = newton(aim, chief + solved(slopes, target), target, chief)
-    status, surface = np.zeros(x.size, dtype=np.int8), np.full(x.size, -1, dtype=np.int8)
-    bad = np.flatnonzero(~_aimed(aim, numbers, target))
-    if bad.size:
-        found, arrived = search(aim, chief, target[:, bad], beam)
-        numbers[:, bad] = np.where(arrived, found, np.nan)
-        gone = bad[~arrived]
-        status[gone], surface[gone] = ends(aim, found[:, ~arrived], target[:, gone], beam, openings)
-    return AimedRays(bundle.rays(numbers), status, surface)
+    return _Chief(aim, chief, slopes, radius, beam)
 
 
 def _followed_chief(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.optics.systems.axis_ray import AxisStep, first_vertex_z, follow_axis, off_axis
+from wavequake.optics.systems.once import once_per_system
 from wavequake.optics.systems.system import OpticalSystem, require_system, wavelength_of
 
 Array = NDArray[np.float64]
@@ -82,6 +83,7 @@ class Paraxial:
     pupil_magnification: float
 
 
+@once_per_system
 def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial:
     """Return the first-order data of a system (Störkle 2018, sections 3.3.1 and 3.3.2).
 

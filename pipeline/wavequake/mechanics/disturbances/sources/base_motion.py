@@ -1,6 +1,5 @@
 """Shaking from below: of the floor on which bodies stand, and of the cell on which elastic segments do."""
 
-from functools import lru_cache
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -22,6 +21,7 @@ from wavequake.mechanics.disturbances.plant_source import (
 from wavequake.mechanics.disturbances.source import Randoms, SegmentSource, register
 from wavequake.mechanics.disturbances.sources.surface_vibration import VibrationLine
 from wavequake.mechanics.disturbances.streams import Random
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -169,9 +169,9 @@ def answers(plant: Plant, omega: Array, moved: Complex, time: Array) -> Array:
     return np.asarray(found.reshape(len(time), *swing.shape[1:]))
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def _gains(plant: Plant, frequencies: bytes) -> Complex:
-    """Return the outputs (w, 6, m) per unit motion of the cell along each axis: lines are those of all cases."""
+    """Return outputs (w, 6, m) per unit motion of the cell along each axis, at lines that all cases share."""
     omega = np.frombuffer(frequencies)
     units = np.zeros((6, len(omega), 6), dtype=np.complex128)
     for axis in range(6):
