@@ -19,6 +19,7 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from wavequake.drawing.faces import Faces
 from wavequake.drawing.labels import Labels
 from wavequake.drawing.style import COLORS as COLORS
 from wavequake.drawing.style import HEIGHT as HEIGHT
@@ -29,7 +30,7 @@ from wavequake.drawing.style import as_name, hover
 from wavequake.drawing.style import curve_style as curve_style
 from wavequake.drawing.style import one_panel as one_panel
 from wavequake.drawing.style import stacked as stacked
-from wavequake.drawing.ticks import draw_ticks_at_once, in_inches, number_powers, power_of_ten
+from wavequake.drawing.ticks import BareAxes, draw_ticks_at_once, in_inches, number_powers, power_of_ten
 from wavequake.report.populations import Histories, Population
 from wavequake.report.segments.detail import Bent, Detail
 from wavequake.report.segments.raster import fill_segments
@@ -212,7 +213,8 @@ def colorbar(
     """Draw what colors mean beside axes in inches, and beside all that stand above them up to `top`."""
     box, (across, _) = axes.get_position(), figure.get_size_inches()
     height = (top or axes).get_position().y1 - box.y0
-    side = figure.add_axes((box.x1 + 0.1 / across, box.y0, 0.13 / across, height))
+    place = box.x1 + 0.1 / across, box.y0, 0.13 / across, height
+    side = figure.add_axes(place, axes_class=BareAxes)
     logarithmic = isinstance(mappable.norm, LogNorm)
     bar = figure.colorbar(
         mappable, cax=side, label=label, format=FuncFormatter(power_of_ten) if logarithmic else None
@@ -261,9 +263,7 @@ def _draw_segments(figure: Figure, axes: Axes, detail: Detail, numbers: bool = T
     _aperture(axes, detail)
     if detail.corners.size:
         faces = colors(norm(values))
-        glass = PolyCollection(
-            list(detail.corners * 1e-3), facecolors=faces, edgecolors="#555555", linewidths=0.25
-        )
+        glass = Faces(detail.corners * 1e-3, faces, "#555555", 0.25)
         glass.set_gid(
             hover(
                 [
