@@ -46,7 +46,7 @@ def over_frequency(dataset: xr.Dataset, springs: str, rows: Sequence[int]) -> It
     hertz = frequencies(study.sensor, [one.loop.timing.period for one in found.values()])
     names = list(found)
     loops = xr.Dataset(kept(names, hertz, found, "um"), {"controller": names, "frequency": hertz})
-    rows = by_controller(loops, names)
-    yield from loops_over_frequency(f"{springs}-", curves_of(rows))
-    if heard := spectra_of(rows, "noise_los"):
+    linear = by_controller(loops, names)
+    yield from loops_over_frequency(f"{springs}-", curves_of(linear))
+    if heard := spectra_of(linear, "noise_los"):
         yield noise_picture(f"{springs}-noise", "image", "µm", heard)

@@ -10,12 +10,11 @@ import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, curve_style, one_panel, stacked
-from wavequake.report.loops.frequency import logarithmic
+from wavequake.report.loops.frequency import logarithmic, show_rates
 from wavequake.report.loops.over_frequency import curves_of, loops_over_frequency, noise_picture, spectra_of
 from wavequake.report.loops.spectra import of_density, spectra
 from wavequake.report.page import Page, Picture, Section, picture
@@ -187,7 +186,7 @@ def _remains(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> Figure:
     for place, key in enumerate(("open_wind", "open_structure")):
         axes.axhline(float(dataset[key]), color=COLORS[place], linestyle=":", linewidth=1.2)
     logarithmic(axes)
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    show_rates(axes)
     axes.set(xlabel="bandwidth (Hz)", ylabel="surface (nm rms)", title="What remains")
     axes.legend()
     return figure
@@ -202,9 +201,7 @@ def _peaks(dataset: xr.Dataset) -> Figure:
     axes.axhline(json.loads(dataset.attrs["study"])["criterion"]["peak"], **_GREY)
     if np.isfinite(limit := float(dataset["nominal_limit"])) and limit > 0:
         axes.axvline(limit, **_GREY)
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    show_rates(axes)
     axes.set(xlabel="bandwidth (Hz)", ylabel="largest |S|", title="Control and structure")
     axes.legend(fontsize=7)
     return figure

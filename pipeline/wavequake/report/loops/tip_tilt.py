@@ -8,11 +8,11 @@ import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, STYLE, curve_style, one_panel
+from wavequake.report.loops.frequency import show_rates
 from wavequake.report.loops.over_frequency import (
     SENSITIVITY,
     curves_of,
@@ -214,10 +214,8 @@ def _rates(loops: Sequence[Loop]) -> Figure:
             markersize=4,
             capsize=3,
         )
-    axes.set_xscale("log")
+    show_rates(axes)
     axes.set_xticks(sorted({one.rate_hz for one in loops}))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(bottom=0)
     axes.set(xlabel="frames per second (Hz)", ylabel="line of sight (mas rms)", title="What is left")
     axes.legend()

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
-from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels
+from wavequake.report.exposures.psf_figures import Mask, annulus
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.mirrors.variants import few
 from wavequake.report.page import Page, Picture, Section, picture
@@ -185,17 +185,9 @@ def _image_pictures(
             "Red: the line of sight during the exposure; the static image is the best that there can be.",
         )
     exposures = {static.title: static.image, **dict(zip(variants, images["exposure"], strict=True))}
-    yield from common.image_pictures(
-        key, f"rest and exposures, scale {scale:g}", exposures, axis, _pupil(part)
-    )
-    focus, waves = part["exposure_focus"].isel(case=0).to_numpy(), part["focus"].to_numpy().tolist()
-    text = f"The exposure through focus, {variants[0]}, scale {scale:g}"
-    yield picture(
-        f"{key}-focus",
-        text,
-        focus_panels(focus, waves, axis),
-        "The same scale everywhere; symmetric pictures about 0 mean that the focus is right.",
-    )
+    words, through = f"rest and exposures, scale {scale:g}", part["exposure_focus"].isel(case=0)
+    focus = f"The exposure through focus, {variants[0]}, scale {scale:g}", through
+    yield from common.image_pictures(key, words, exposures, axis, _pupil(part), focus)
     if "object_image" in part:
         seen = part["object_image"]
         objects = {"static": part["object_static"].isel(case=0).to_numpy()}

@@ -56,15 +56,12 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> "Page":
     """
     from wavequake.report import uncertain  # what draws is slow to load
     from wavequake.report.answers import budget
-    from wavequake.report.reduced_models import model_results, verdict
-    from wavequake.report.reduced_models import pictures as model_pictures
+    from wavequake.report.reduced_models import compared_models
     from wavequake.report.segments import page
 
     study = read_manifest(store).study
     places, record = place_names(dataset), bench_of(study).study
-    compared = record.reduction
-    models = model_results(dataset, compared.variants) if compared is not None else []
-    largest = compared.largest if compared is not None else 0.0
+    verdict, models = compared_models(dataset, record.reduction)
     dataset = by_field(dataset)
     found = _populations(store, dataset)
     details = [
@@ -86,7 +83,7 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> "Page":
     modal = _modal(store, dataset)
     near = "log_weight" in dataset.variables
     said = (
-        verdict(models, largest),
+        verdict,
         uncertain.sentence(parts),
         stopped_light(store, dataset),
         *certificate(*modal),
@@ -95,7 +92,7 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> "Page":
     words = " ".join(one.strip() for one in said if one)
     more = [
         *page.error_pictures(modal[1]),
-        *model_pictures(models, largest),
+        *models,
         *uncertain.pictures(parts),
         *budget.pictures(store),
     ]

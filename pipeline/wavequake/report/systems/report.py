@@ -27,8 +27,7 @@ from wavequake.report.figures import distributions
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out, nothing_known
-from wavequake.report.reduced_models import model_results, verdict
-from wavequake.report.reduced_models import pictures as model_pictures
+from wavequake.report.reduced_models import compared_models
 from wavequake.report.statistics import Quantile, quantile
 from wavequake.report.systems import figures as draw_figures
 from wavequake.report.systems import images as system_images
@@ -117,22 +116,20 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
     rows = [*_at_rest(dataset, bench)]
     frame = frame_of(dataset)
     rows += [_row(population, one, bench, frame) for population in found for one in population.fields]
-    compared, uncertain_parts = bench.study.reduction, bench.study.structure.uncertain is not None
-    parts = parted_variance(found) if uncertain_parts else []
+    parts = parted_variance(found) if bench.study.structure.uncertain is not None else []
     light = dataset.isel(wavelength=bench.system.primary_wavelength)
-    models = model_results(light, compared.variants) if compared is not None else []
-    largest = compared.largest if compared is not None else 0.0
+    verdict, models = compared_models(light, bench.study.reduction)
     return Page(
         answer=nothing_known(_failed(found, dataset))
         + answer(found, _sums(bench))
-        + verdict(models, largest)
+        + verdict
         + uncertain.sentence(parts)
         + "".join(f" {one}" for one in certificate(bench.study.optics.modal_tolerance_nm, dataset)),
         table=[{header: row[header] for header in headers} for row in rows],
         small_print=_SMALL_PRINT + _INTERVALS + _partial(found, bench) + what_is_kept(dataset),
         overview=[
             *_overview(found),
-            *model_pictures(models, largest),
+            *models,
             *uncertain.pictures(parts),
             *budget.pictures(store),
         ],
