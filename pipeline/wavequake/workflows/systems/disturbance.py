@@ -40,13 +40,12 @@ from wavequake.workflows.systems.bench import (
     system_bench,
     system_states,
 )
-from wavequake.workflows.systems.draws import draw, drawn_with, sampling_plan
+from wavequake.workflows.systems.draws import draw, drawn_with, errors_of, sampling_plan, slot_of
 from wavequake.workflows.systems.measure import See, measured_cases
 from wavequake.workflows.systems.measures import axes, fixed, measures
 from wavequake.workflows.systems.modal import certificate, model_of
 from wavequake.workflows.systems.streaks import places_between, places_of_rows, streaked_times
 from wavequake.workflows.systems.study import SystemStudy
-from wavequake.workflows.systems.variants import errors_of, slot_of
 
 Array = NDArray[np.float64]
 
