@@ -73,13 +73,12 @@ __kernel void fold_segments(__global const scalar *phase, __global const int *tw
     }
 }
 
-// Sums over terms: (part, node, column). matrix (part, block of TALL nodes, term, node), of STRIDE terms.
-__kernel void add_segments(const int stride, __global const scalar *matrix, __global const scalar *folded,
-                           __global scalar *sums)
+// Sums over terms: (part, node, column). matrix (part, block of TALL nodes, term, node).
+__kernel void add_segments(__global const scalar *matrix, __global const scalar *folded, __global scalar *sums)
 {
     ALIGN_STACK;
     const int block = get_global_id(0), part = get_global_id(1);
-    matrix += ((size_t)part * ((QUARTER + TALL - 1) / TALL) + block) * stride * TALL;
+    matrix += ((size_t)part * ((QUARTER + TALL - 1) / TALL) + block) * TERMS * TALL;
     folded += FOLDED == 4 ? (size_t)part * TERMS * COLUMNS : 0;
     real total[TALL][VECTORS];
     #pragma unroll

@@ -8,8 +8,9 @@ import pytest
 from small_telescope import DEVICE, OPENCL, chunk, only_pistons, study, text  # noqa: F401
 from threadpoolctl import threadpool_limits
 
+from wavequake.kernels.device.devices import choose_device
 from wavequake.workflows.segments import disturbance as workflow
-from wavequake.workflows.segments import launches
+from wavequake.workflows.segments import exposures, launches
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study, study_with
 
@@ -41,6 +42,17 @@ def test_cases_that_stand_still_are_traced_once_and_do_not_depend_on_each_other(
             np.testing.assert_array_equal(values[0], together[name][row], err_msg=name)
             if values.ndim > 1 and name not in ("time_s", "exposure"):  # the same at every instant
                 np.testing.assert_array_equal(values[0, :3], np.repeat(values[0, :1], 3, axis=0))
+
+
+@pytest.mark.skipif(choose_device(DEVICE).kind != "cpu", reason="no OpenCL of a processor here")
+def test_images_of_cases_that_stand_still_are_made_together(study, monkeypatch):
+    made, images = [], exposures.still_images
+    monkeypatch.setattr(exposures, "still_images", lambda *given: made.append(images(*given)) or made[-1])
+    text, cases = only_pistons(study).identity_text(), np.arange(5, 25)
+    found, twin = (workflow.compute(text, cases, device).arrays for device in (DEVICE, "numpy"))
+    assert sum(map(len, made)) > len(cases) - 3  # some may be too steep for a few moments
+    for name in ("exposure", "peak", "ee50"):
+        np.testing.assert_allclose(found[name], twin[name], rtol=0, atol=1e-5, err_msg=name)
 
 
 def test_where_a_long_case_is_cut_depends_on_it_alone(monkeypatch):

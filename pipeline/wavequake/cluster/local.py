@@ -96,7 +96,7 @@ _GUARD = 'a script that runs campaigns must do so under `if __name__ == "__main_
 
 
 def start_of_processes() -> str:
-    """Return how a process of its own starts: forked as workers are, where they are; else anew, in a second."""
+    """Return how a process of its own starts: forked as workers are where they are; else anew."""
     return "forkserver" if os.getpid() in _prepared else "spawn"
 
 

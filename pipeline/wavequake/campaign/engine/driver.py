@@ -73,7 +73,7 @@ def begin_workers(workflow: StudyKind, path: Path, on: str) -> None:
 
 
 def _have_workers_load(workflow: StudyKind, path: Path) -> None:
-    """Load what workers run once, in the process they are forked from; each would take a second for it."""
+    """Load what workers run once, in the process that they are forked from."""
     home = workflow.module or workflow.compute.__module__
     prepare_workers(_TASKS, home, *(["s3fs"] * isinstance(path, ObjectPath)))
 

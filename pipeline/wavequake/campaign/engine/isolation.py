@@ -126,7 +126,7 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
 
 def _serve(connection: Connection, job: Job, cases: range, memory: int, environment: dict[str, str]) -> None:
     """Be the process of :func:`_in_process`: say None when ready, and then the result of each case."""
-    os.environ.update(environment)  # it may have changed since the process that this one was forked from began
+    os.environ.update(environment)  # they may have changed since that process began
     redirect()
     try:
         opened = opened_store(job.workflow, job.path, job.run)

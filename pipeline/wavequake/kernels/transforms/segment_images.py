@@ -140,10 +140,10 @@ def _by_processor(
     def step(kernel: str, along: int, across: int, *arguments: Any) -> Step:
         return Step(_text(), kernel, names, (along, across, 1), (1, 1, 1), arguments)
 
-    stride, blocks = np.int32(matrix.shape[2]), -(-pixels // tall)
+    blocks = -(-pixels // tall)
     steps = [
         step("fold_segments", TILE // lanes, sets, "phase", "twins", "shares", "folded"),
-        step("add_segments", -(-quarter // tall), 4, stride, "matrix", "folded", "sums"),
+        step("add_segments", -(-quarter // tall), 4, "matrix", "folded", "sums"),
         step("unfold_field", nodes // 2, nodes // 2, "sums", "field"),
         step("spread_rows", nodes, blocks, "across", "field", "rows"),
         step("square_pixels", blocks, pixels, "across", "rows", "images"),
@@ -154,8 +154,8 @@ def _by_processor(
         "phase": moved.astype(np.float32),
         "twins": twins.astype(np.int32),
         "shares": (shares / peak).astype(np.float32),
-        "matrix": _in_blocks(matrix, tall),
-        "across": _in_blocks(interpolation, tall),
+        "matrix": _in_blocks(matrix, len(powers) * sets, tall),
+        "across": _in_blocks(interpolation, nodes, tall),
     }
     numbers = {"folded": folded * len(powers) * sets, "sums": 4 * quarter, "field": nodes * nodes}
     numbers["rows"] = pixels * nodes
@@ -167,18 +167,22 @@ def _by_processor(
     return images
 
 
-def _in_blocks(array: Floating, tall: int) -> Any:
-    """Return rows (..., Q, K) as (..., Q / tall, K, tall), the last of them zeros; kept as `_there`."""
+def _in_blocks(array: Floating, last: int, tall: int) -> Any:
+    """Return the first `last` numbers K of rows (..., Q, K) as (..., Q / tall, K, tall), kept as `_there`.
+
+    Rows beyond the last are zeros.
+    """
 
     def make() -> Floating:
         rows = -(-array.shape[-2] // tall) * tall
-        padded = np.pad(array, (*((0, 0),) * (array.ndim - 2), (0, rows - array.shape[-2]), (0, 0)))
-        blocks = padded.reshape(*array.shape[:-2], -1, tall, array.shape[-1]).swapaxes(-1, -2)
+        padded = np.zeros((*array.shape[:-2], rows, last), array.dtype)
+        padded[..., : array.shape[-2], :] = array[..., :last]
+        blocks = padded.reshape(*array.shape[:-2], -1, tall, last).swapaxes(-1, -2)
         laid_out = aligned_empty(blocks.shape, array.dtype)
         laid_out[...] = blocks
         return laid_out
 
-    return _kept((id(array), tall, None), array, make)
+    return _kept((id(array), last, None), array, make)
 
 
 def _compare(device: Device, program: Any, images: Floating, twin: Callable[[], Floating]) -> None:

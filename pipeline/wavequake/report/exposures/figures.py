@@ -8,16 +8,18 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel, stacked
+from wavequake.drawing.ticks import in_inches
+from wavequake.report.figures import STYLE, WIDTH, colorbar, curve_style, one_panel, stacked
 
 Array = NDArray[np.float64]
 
 # Decades below the peak that a picture shows.
 _DECADES = 4
 _TRACK = "#ff4d4d"
+# Inches around panels: numbers and label; scale with its own; between columns; below; title.
+_LEFT, _RIGHT, _GAP, _BOTTOM, _TITLE = 0.65, 0.95, 0.15, 0.5, 0.35
 
 
 @dataclass(frozen=True)
@@ -35,45 +37,34 @@ class Panel:
 @rc_context(STYLE)
 def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     """Show exposures with one logarithmic scale and the line of sight as a line (Fig. 4.32b and 4.45)."""
-    columns = 2 if len(panels) > 1 else 1
+    columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    square = (WIDTH - 1.6) / columns  # inches, beside numbers and scale
-    figure = Figure(
-        figsize=(WIDTH, min(HEIGHT, square) * rows + 0.3 * rows + 0.4), layout=_Twice(compress=True)
-    )
-    grid = figure.subplots(rows, columns, squeeze=False)
-    places = grid.ravel()
+    square = (WIDTH - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns
+    across, up = square + _GAP, square + _TITLE
+    figure = Figure(figsize=(WIDTH, _BOTTOM + rows * up))
     top = max(float(panel.image.max()) for panel in panels)
+    floor = 10.0**-_DECADES * top
     half = 0.5 * (axis[1] - axis[0])
-    extent = (axis[0] - half, axis[-1] + half, axis[0] - half, axis[-1] + half)
-    picture = None
-    for number, (place, panel) in enumerate(zip(places, panels, strict=False)):
-        floor = 10.0**-_DECADES * top
+    ends = (axis[0] - half, axis[-1] + half)
+    places = []
+    for number, panel in enumerate(panels):
+        row, column = divmod(number, columns)
+        lowest = number + columns >= len(panels)
+        place = in_inches(figure, _LEFT + column * across, _BOTTOM + (rows - 1 - row) * up, square, square)
         picture = place.imshow(
-            np.maximum(panel.image, floor), norm=LogNorm(floor, top), origin="lower", extent=extent
+            np.maximum(panel.image, floor), norm=LogNorm(floor, top), origin="lower", extent=(*ends, *ends)
         )
         place.plot(panel.track[:, 0], panel.track[:, 1], color=_TRACK, linewidth=0.8)
         place.plot(*panel.track[-1:].T, "o", color=_TRACK, markersize=2.0)
-        place.set_xlim(*extent[:2])
-        place.set_ylim(*extent[2:])
+        place.set(xlim=ends, ylim=ends)
         place.set_title(panel.title, fontsize=8)
-        lowest, leftmost = number + columns >= len(panels), number % columns == 0
-        place.tick_params(labelbottom=lowest, labelleft=leftmost)
-        place.set(xlabel="x (λ/D)" if lowest else "", ylabel="y (λ/D)" if leftmost else "")
-    for place in places[len(panels) :]:
-        place.set_visible(False)
-    if picture is not None:
-        scale = figure.colorbar(picture, ax=list(places), shrink=1.0 if rows == 1 else 0.8)
-        scale.set_label("irradiance; 1 = perfect peak", fontsize=8)
+        place.tick_params(labelbottom=lowest, labelleft=not column)
+        place.set(xlabel="x (λ/D)" if lowest else "", ylabel="" if column else "y (λ/D)")
+        places.append(place)
+    corner = [columns - 1 + columns * row for row in (0, rows - 1)]
+    beside = places[corner[-1]] if corner[-1] < len(places) else places[corner[0]]
+    colorbar(figure, beside, picture, "irradiance; 1 = perfect peak", top=places[corner[0]])
     return figure
-
-
-class _Twice(ConstrainedLayoutEngine):
-    """Numbers of axes of the size that they are given first may need more room, which is made next."""
-
-    def execute(self, fig: Figure) -> None:
-        for _ in range(2):
-            super().execute(fig)
 
 
 @rc_context(STYLE)

@@ -47,6 +47,7 @@ from wavequake.workflows.segments.bench import (
 from wavequake.workflows.segments.draws import draw_realizations, sampling_plan, way_between
 from wavequake.workflows.segments.exposures import (
     Gathered,
+    add_energies,
     add_images,
     coarse_figures,
     exposed,
@@ -88,6 +89,8 @@ from wavequake.workflows.segments.vignetting import require_all_rays
 from wavequake.workflows.systems.out_of_focus import require_focus
 
 Array = NDArray[np.float64]
+
+_TOGETHER = 16  # exposures whose energies are looked at: they stay in the cache
 
 
 def draw(bench: Bench, case: int) -> CaseDraw:
@@ -227,7 +230,7 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
                     add_images(bench, gathered[row], rays, wavefront, piece, stills.get(row))
             except UserError as error:  # tilts that no image can be made of concern this case alone
                 messages[row] = str(error)
-    status = np.full(len(draws), DONE, dtype=np.int8)
+    status, exposures = np.full(len(draws), DONE, dtype=np.int8), dict[int, Array]()
     for row, message in enumerate(messages):
         if message:
             status[row] = RAISED
@@ -239,8 +242,12 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
         if "exposure" in arrays:
             with clock("image"):
                 found = exposed(bench, gathered.pop(row), instants[row], draws[row])
+                exposures[row] = found["exposure"]
+                add_energies(bench, arrays, exposures, _TOGETHER)
             for name, values in found.items():
                 arrays[name][row] = values
+    with clock("image"):
+        add_energies(bench, arrays, exposures, 1)
     return ChunkResult(arrays, status, tuple(messages), clock.seconds)
 
 

@@ -210,11 +210,10 @@ def _lit(study_text: str, place: int, canvas: int) -> LitObject:
 
 def exposed(bench: Bench, gathered: Gathered, instants: int, drawn: CaseDraw) -> dict[str, Array]:
     """Return the exposures of a whole case of so many traced instants, and what a camera makes of them."""
-    imaging, scale = bench.study.imaging, energy_scale(bench)
+    imaging = bench.study.imaging
     canvas, *through = (_mean(bench, gathered, total, instants) for total in gathered.totals)
     exposure = cut(canvas, imaging.pixels)
     found = {"exposure": exposure, "peak": np.asarray(exposure.max())}
-    found |= zip(("ee50", "ee80"), encircled_energy_radius(exposure, (0.5, 0.8), **scale), strict=True)
     if through:
         found["exposure_focus"] = np.stack([cut(one, imaging.pixels) for one in through])
     own = f"/{bench.place}" if bench.place else ""  # the detector's noise at each field point
@@ -223,6 +222,20 @@ def exposed(bench: Bench, gathered: Gathered, instants: int, drawn: CaseDraw) ->
     if bench.study.object is not None:
         found["object_image"] = _object(bench, gathered, instants)
     return found
+
+
+def add_energies(bench: Bench, arrays: dict[str, Array], exposures: dict[int, Array], at_least: int) -> None:
+    """Write the radii of encircled energy of exposures (pixels, pixels) to their rows, if there are enough.
+
+    Those of many take half the time of each by itself; their bits are the same. What is written is forgotten.
+    """
+    if len(exposures) < at_least:
+        return
+    images = np.stack(list(exposures.values()))
+    radii = encircled_energy_radius(images, (0.5, 0.8), **energy_scale(bench))
+    for name, values in zip(("ee50", "ee80"), radii, strict=True):
+        arrays[name][list(exposures)] = values
+    exposures.clear()
 
 
 def object_at_rest(bench: Bench) -> Array:

@@ -178,7 +178,11 @@ def _draw_pistons(
     for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(realizations) != 1) + 1):
         begin = int(realizations[run[0]])
         drawn = amplitudes_of_run(population, segments, bench.study.study.seed, begin, len(run), device)
-        motions[rows[run], first : first + segments] = drawn * moving
+        here = rows[run]
+        if here[-1] - here[0] == len(here) - 1:  # a tile after the other
+            np.multiply(drawn, moving, out=motions[here[0] : here[-1] + 1, first : first + segments])
+        else:
+            motions[here, first : first + segments] = drawn * moving
 
 
 def _separable(

@@ -56,7 +56,8 @@ def knows(model: ModalModel, motion: Motion) -> bool:
     """Return whether the model knows all that moves."""
     rigid = [dof for dof in range(RIGID) if dof not in model.dofs]
     terms = [term for term in range(motion.segment_figure.shape[-1]) if RIGID + term not in model.dofs]
-    moved = motion.segment_motion[..., rigid].any() or motion.segment_figure[..., terms].any()
+    moved = any(motion.segment_motion[..., dof].any() for dof in rigid)
+    moved = moved or bool(motion.segment_figure[..., terms].any())
     named = (*motion.rigid.values(), *motion.figure.values())
     return not (moved or any(values.any() for values in named))
 
