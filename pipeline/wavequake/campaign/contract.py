@@ -114,7 +114,8 @@ class StudyKind:
     {"trace": (1e9, "ray-surfaces")}; ``check`` raises UserError for a study that no case of can succeed,
     before a store is made; ``notices`` yields what the user should read before, such as doubtful units.
     ``compared`` are the coordinates of cases that plain reports tell apart, ``compared_of(study)`` where they
-    depend on the study; ``pictures(study, dataset)`` are added to them.
+    depend on the study; ``pictures(study, dataset)`` are added to them. ``module`` is the one that workers
+    load beforehand, where it is not that of ``compute``.
 
     Most kinds are written as measures: :func:`wavequake.campaign.measured.study_kind`.
     """
@@ -131,6 +132,7 @@ class StudyKind:
     compared: tuple[str, ...] = ("disturbance",)
     pictures: Callable[[str, Any], Iterator[Drawn]] = no_pictures
     compared_of: Callable[[str], tuple[str, ...]] | None = None
+    module: str = ""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel with the plug-ins of this process: where a kind arrives, they are loaded before it is."""

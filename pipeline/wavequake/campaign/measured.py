@@ -210,6 +210,7 @@ def study_kind(
         model=model,
         compared=compared,
         pictures=partial(_pictures, parts),
+        module=str(getattr(compute, "__module__", "")),
     )
 
 
@@ -235,8 +236,9 @@ def _bench(parts: _Parts, text: str) -> Any:
 def _template(parts: _Parts, text: str) -> Template:
     with _explained(parts, "prepare"):
         bench = _bench(parts, text)
-    with _explained(parts, "measures, axes, fixed or memory"):
+    with _explained(parts, "measures, axes or fixed"):
         found = template_of(_measures(parts, text), parts.axes(bench), parts.fixed(bench))
+    with _explained(parts, "memory"):
         more = parts.memory(bench)
         return replace(found, working_bytes=stored_bytes(found) + more) if more else found
 

@@ -19,8 +19,7 @@ from wavequake.viewer.film import Array, Stage, Take, principal, stage_of
 from wavequake.viewer.structure import members_of, nodes_of, with_members
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.systems.bench import MM_PER_M, SystemBench, system_bench, system_states
-from wavequake.workflows.systems.draws import drawn_with
-from wavequake.workflows.systems.variants import slot_of
+from wavequake.workflows.systems.draws import drawn_with, slot_of
 
 _MOST_INSTANTS = 400
 _EXACT = 2e-5

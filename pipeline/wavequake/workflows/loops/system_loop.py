@@ -33,11 +33,10 @@ from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.systems import disturbance as system_disturbance
 from wavequake.workflows.systems.bench import imager_on
-from wavequake.workflows.systems.draws import drawn_with
+from wavequake.workflows.systems.draws import drawn_with, slot_of
 from wavequake.workflows.systems.measure import measured_cases
 from wavequake.workflows.systems.measures import axes as system_axes
 from wavequake.workflows.systems.streaks import places_between, places_of_rows
-from wavequake.workflows.systems.variants import slot_of
 
 
 @dataclass(frozen=True)

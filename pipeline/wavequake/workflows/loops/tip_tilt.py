@@ -273,8 +273,7 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
     """Run cases one by one."""
 
     def of_case(case: int) -> dict[str, Array | float]:
-        realization, place = divmod(case, len(bench.loops))
-        loop = bench.loops[place]
+        loop = bench.loops[case % len(bench.loops)]
         return {
             "open_mas": bench.open_mas,
             "exact_mas": loop.exact,
@@ -284,7 +283,7 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
             "gain_up": loop.gain_up,
             "phase_margin": loop.phase_deg,
             **loop.curves,
-            "simulated_mas": _simulated(bench, loop, realization, clock),
+            "simulated_mas": _simulated(bench, loop, case // len(bench.loops), clock),
         }
 
     return one_by_one(table["case"], of_case)

@@ -35,8 +35,13 @@ from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
 from wavequake.prepared import prepared
-from wavequake.workflows.bodies.segments import CarryingBodies, carrying_bodies
-from wavequake.workflows.bodies.telescope import elastic_segments, masses_of, with_bodies
+from wavequake.workflows.bodies.plants import masses_of
+from wavequake.workflows.bodies.segments import (
+    CarryingBodies,
+    carrying_bodies,
+    elastic_segments,
+    with_bodies,
+)
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.study import SegmentStudy
 from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest

@@ -42,10 +42,8 @@ from wavequake.optics.wavefronts.wavefront import (
 )
 from wavequake.prepared import prepared
 from wavequake.workflows.bodies.plants import (
-    Masses,
-    compared_bodies,
     deforming_terms,
-    elastic_names,
+    masses_of,
     plants_of,
 )
 from wavequake.workflows.mirrors.study import FULL
@@ -114,14 +112,6 @@ def system_bench(study_text: str) -> SystemBench:
             _require_light(one, wavefront, rest)
     imager = _imager(study, prepared, static, rest)
     return SystemBench(study_text, study, system, layout, bodies, prepared, static, imager, plants)
-
-
-def masses_of(study: SystemStudy) -> Masses:
-    """Return what a study says of its bodies with mass; UserError if it compares models of none."""
-    reduced = (
-        () if study.reduction is None else compared_bodies(study.reduction.of, elastic_names(study.body))
-    )
-    return Masses(study.study.name, study.body, study.link, study.structure, study.compared, reduced)
 
 
 def _imager(

@@ -29,7 +29,7 @@ from wavequake.words import counted
 from wavequake.workflows.bodies.plants import standing
 from wavequake.workflows.disturbed_study import case_labels
 from wavequake.workflows.mirrors.study import FULL
-from wavequake.workflows.segments.modal import MODAL, TRACED
+from wavequake.workflows.segments.modal import MODAL, TRACED, routes
 from wavequake.workflows.systems.bench import (
     NM_PER_MM,
     SystemBench,
@@ -40,13 +40,12 @@ from wavequake.workflows.systems.bench import (
     system_bench,
     system_states,
 )
-from wavequake.workflows.systems.draws import draw, drawn_with, sampling_plan
+from wavequake.workflows.systems.draws import draw, drawn_with, errors_of, sampling_plan, slot_of
 from wavequake.workflows.systems.measure import See, measured_cases
 from wavequake.workflows.systems.measures import axes, fixed, measures
-from wavequake.workflows.systems.modal import certificate, model_of, routes
+from wavequake.workflows.systems.modal import certificate, model_of
 from wavequake.workflows.systems.streaks import places_between, places_of_rows, streaked_times
 from wavequake.workflows.systems.study import SystemStudy
-from wavequake.workflows.systems.variants import errors_of, slot_of
 
 Array = NDArray[np.float64]
 
@@ -130,7 +129,7 @@ def _seen_cases(
         return measured_cases(bench, motions, device, clock, imager, away)
     model = model_of(bench.text, device_name)
     bounds = np.array([model.bound(drawn) for _, drawn in motions])
-    how = routes(study, cases, bounds)
+    how = routes(study, None if cases is None else np.array(cases), bounds)
 
     def chosen(rows: NDArray[np.intp], see: See | None) -> dict[int, tuple[dict[str, Array], str]]:
         found = measured_cases(

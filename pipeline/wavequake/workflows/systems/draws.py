@@ -1,20 +1,21 @@
-"""How a system moves in a case: of seed, disturbance and realization only."""
+"""Which disturbance, realization and models of bodies a case has, and how a system moves in it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.chain.sampling import Plan, plan_of
+from wavequake.chain.sampling import Plan, plan_of, slot
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.mechanics.disturbances.motion import Motion
 from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.prepared import prepared
 from wavequake.workflows.bodies.uncertain import uncertain_plant
+from wavequake.workflows.mirrors.compared_models import model_errors, rms_of
 from wavequake.workflows.systems.bench import SystemBench, system_bench
-from wavequake.workflows.systems.variants import slot_of
+from wavequake.workflows.systems.study import SystemStudy
 
 Array = NDArray[np.float64]
 
@@ -57,3 +58,17 @@ def sampling_plan(study_text: str) -> Plan:
     """
     bench = system_bench(study_text)
     return plan_of(bench.study.campaign, bench.study.study.seed, bench.study.disturbance, bench.layout)
+
+
+def slot_of(study: SystemStudy, case: int) -> tuple[ElementDisturbance, int, str]:
+    """Return disturbance, realization and model of a case: each draw is a case with each of the models."""
+    population, place = slot(study.disturbance, case)
+    realization, model = divmod(place, len(study.compared))
+    return population, realization, study.compared[model]
+
+
+def errors_of(numbers: Mapping[str, Array], full: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the `ERRORS` of a case relative to the same draw with the full model."""
+    bent = numbers["zernike"][..., 3:] - full["zernike"][..., 3:]
+    sizes = np.sqrt(np.mean(full["wfe_change"] ** 2, axis=0)), rms_of(full["los_mm"])
+    return model_errors(bent, numbers["los_mm"] - full["los_mm"], sizes, numbers, full)

@@ -27,7 +27,7 @@ from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.workflows.mirrors.study import FULL
-from wavequake.workflows.segments.modal import CERTIFIED, MODAL, TRACED, sampled
+from wavequake.workflows.segments.modal import CERTIFIED
 from wavequake.workflows.systems.bench import (
     MM_PER_M,
     NM_PER_MM,
@@ -196,14 +196,6 @@ def _motions(bench: SystemBench, columns: Columns) -> Motions:
         return system_states(bench, columns.motion(rows))
 
     return Motions(move, each[columns.moving], turns[columns.moving])
-
-
-def routes(study: SystemStudy, cases: list[int] | None, bounds: Array) -> NDArray[np.int8]:
-    """Return how cases are computed: MODAL, TRACED or, of those with ids, CERTIFIED."""
-    beyond, certified = ~(bounds <= study.optics.modal_tolerance_nm), np.zeros(len(bounds), np.bool_)
-    if cases is not None:
-        certified = sampled(study.study.seed, np.array(cases, np.int64), study.optics.modal_sample)
-    return np.where(beyond, TRACED, np.where(certified, CERTIFIED, MODAL)).astype(np.int8)
 
 
 def certificate(
