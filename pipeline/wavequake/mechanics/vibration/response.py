@@ -266,7 +266,8 @@ def _forcing(block: _Block, drive: Drive, time: Array, step: float) -> tuple[Arr
     for impulse in drive.impulses:
         first, rest = _next_instant(impulse.at, time, step)
         jump = block.inputs @ impulse.momentum
-        gains.append((exponentials(block.system * rest) @ jump[..., None]).real)
+        pushed = exponentials(block.system * rest) @ jump[..., None]
+        gains.append(np.asarray(pushed, dtype=np.float64))
         signals.append((np.arange(len(time)) == first)[None])
     if not gains:
         return np.zeros((*block.inputs.shape[:2], 1)), np.zeros((1, len(time)))
