@@ -10,11 +10,12 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "pipeline" / "wavequake"
 PHYSICS = {"mechanics", "reduction", "optics", "imaging", "control"}
-BASE = {"errors", "files", "prepared", "registry", "tables", "user_files", "words", "posix"}
+BASE = {"bundled", "errors", "files", "prepared", "registry", "tables", "user_files", "words", "posix"}
 
 # What each package may import of ours, besides itself.
 ALLOWED = {
     "errors": {"words"},
+    "bundled": {"files"},
     "files": set(),
     "user_files": {"errors"},
     "words": set(),

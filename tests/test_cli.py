@@ -5,6 +5,7 @@ import os
 import shlex
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from small_pistons import STUDY
 
 import wavequake as wq
 from wavequake import terminal
+from wavequake.bundled import bundled_studies, bundled_titles
 from wavequake.campaign.store.manifest import read_manifest, write_manifest
 from wavequake.commands import stores
 from wavequake.kernels.device import opencl
@@ -151,6 +153,37 @@ def test_plan_says_what_it_would_take_and_stores_nothing(wavequake, tiny, tmp_pa
     for word in ("10 in 3 chunks of 4", "kB per case", "estimate"):
         assert word in out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
+
+
+def test_titles_of_studies_are_those_of_their_files():
+    """Though no more of a file is parsed than the table that has it."""
+    whole = {
+        name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in bundled_studies().items()
+    }
+    assert bundled_titles() == {name: one["study"].get("title", "") for name, one in whole.items()}
+
+
+@pytest.mark.parametrize(
+    ("words", "unneeded"),
+    [
+        ("studies", {"numpy"}),
+        ("--version", {"numpy"}),
+        ("info double-gauss", {"charset_normalizer", "numpy.f2py.crackfortran"}),
+    ],
+)
+def test_commands_load_little(words, unneeded):
+    """What takes long to load and is not needed is not loaded."""
+    code = (
+        f"import sys; sys.argv = ['wavequake', *{words!r}.split()]\n"
+        "from wavequake.__main__ import main\n"
+        "try:\n    main()\n"
+        "finally:\n    print(*sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout
+    loaded = set(done.stderr.split())
+    assert "wavequake.cli" in loaded
+    assert not loaded & unneeded
 
 
 def test_studies_devices_and_version(wavequake):

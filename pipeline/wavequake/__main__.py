@@ -5,7 +5,11 @@ import os
 import signal
 import sys
 import time
-from types import FrameType
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import LazyLoader
+from types import FrameType, ModuleType
 
 # Modules live on: going through all their objects after every 700 new ones takes an eighth of a command, and
 # again after every tenth of such looks a twentieth of a report.
@@ -13,13 +17,33 @@ _GARBAGE = 100_000, 50
 # A power of two, processor cycles: BLAS keeps its threads busy waiting for a hundredth of a second after each
 # product, a twentieth of a command that does little else than load.
 _WAITING = ("OPENBLAS_THREAD_TIMEOUT", "16")
+# Pydantic reads what every installed distribution declares, to see who wants to watch it.
+_UNWATCHED = ("PYDANTIC_DISABLE_PLUGINS", "1")
+# What SciPy has NumPy load and nothing uses: a compiler of Fortran, which needs a library that guesses the
+# encoding of files, and tests. They take as long as NumPy itself; now they load when something asks for them.
+_LATER = frozenset({"numpy.f2py", "numpy.testing"})
 _IMPATIENCE_S = 2.0  # who presses Ctrl-C again while we clean up does not disturb that
+
+
+class _Later(MetaPathFinder):
+    """Finds modules that load when they are first asked for something."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return where such a module is; of others, nothing."""
+        found = PathFinder.find_spec(name, path) if name in _LATER else None
+        if found is not None and found.loader is not None:
+            found.loader = LazyLoader(found.loader)
+        return found
 
 
 def main() -> None:
     """Run the command line, which takes a moment to load; SIGTERM and SIGHUP end it as Ctrl-C does."""
     gc.set_threshold(*_GARBAGE)
     os.environ.setdefault(*_WAITING)
+    os.environ.setdefault(*_UNWATCHED)
+    sys.meta_path.insert(0, _Later())
     came: list[float] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:

@@ -241,9 +241,8 @@ def _end_with(known: dict[str, str]) -> NoReturn:
 
 def studies() -> None:
     """List the bundled studies, systems and telescopes."""
+    from wavequake.bundled import TELESCOPES, bundled_titles
     from wavequake.optics.catalog.names import system_names
-    from wavequake.workflows.sensitivity_source import TELESCOPES
-    from wavequake.workflows.study import bundled_titles
 
     table = Table(box=None)
     table.add_column("study", style="bold")

@@ -4,9 +4,10 @@ An entry comes from a module of the package's own folder, from an installed dist
 from a call of `Registry.add`; one file makes one.
 """
 
+import sys
 from collections.abc import Callable, Mapping
-from importlib import import_module
-from importlib.metadata import entry_points
+from functools import lru_cache
+from importlib import import_module, metadata
 from pkgutil import iter_modules
 from typing import Generic, TypeVar
 
@@ -14,6 +15,16 @@ from wavequake.errors import UserError
 
 Entry = TypeVar("Entry")
 _own: dict[str, None] = {}
+
+
+def entry_points(group: str) -> tuple[metadata.EntryPoint, ...]:
+    """Return what installed distributions declare of a group; their files are read once."""
+    return tuple(_declared(tuple(sys.path)).select(group=group))
+
+
+@lru_cache(maxsize=1)
+def _declared(places: tuple[str, ...]) -> metadata.EntryPoints:
+    return metadata.entry_points()
 
 
 def note_own(entry: object) -> None:

@@ -15,15 +15,14 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.lib import format as npy
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from wavequake.errors import UserError
 
-Arrays = dict[str, NDArray[Any]]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Arrays: TypeAlias = "dict[str, NDArray[Any]]"
 
 LIMIT = "WAVEQUAKE_MOST_MB"
 """Environment variable: the most MB (1e6 bytes) of a file, and of what an archive expands to."""
@@ -155,7 +154,7 @@ def _require_shallow(record: dict[str, Any]) -> None:
     raise UserError(f"tables and lists are nested more than {_DEEPEST} deep")
 
 
-def read_npy(data: bytes) -> NDArray[Any]:
+def read_npy(data: bytes) -> "NDArray[Any]":
     """Return the array of numbers or text that an .npy file holds.
 
     Raises
@@ -199,8 +198,11 @@ def _require_modest(count: int, size: int, most: float = math.inf) -> None:
         )
 
 
-def _array(stream: Any, size: int) -> NDArray[Any]:
+def _array(stream: Any, size: int) -> "NDArray[Any]":
     """Read one array from `size` bytes, which must be just what its header announces."""
+    import numpy as np  # takes as long to load as a command that computes nothing
+    from numpy.lib import format as npy
+
     version = npy.read_magic(stream)
     header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)
     if header is None:
@@ -229,6 +231,7 @@ def read_hdf5(path: Path) -> Arrays:
         says what, without the file's name.
     """
     import h5py  # takes a while to load
+    import numpy as np
 
     found: dict[str, Any] = {}
 

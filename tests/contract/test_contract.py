@@ -1,6 +1,7 @@
 """What every study kind owes: with every source of motion, in every measure that it stores."""
 
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -19,6 +20,11 @@ pytestmark = pytest.mark.usefixtures("mirror_models")
 
 def test_every_kind_is_in_the_table():
     assert set(KINDS) == set(bundled_kinds())
+
+
+def test_workers_load_the_module_of_a_kind():
+    for name in bundled_kinds():
+        assert sys.modules[find_kind(name).module].KIND.name == name
 
 
 def owes(template, arrays, cases):

@@ -7,6 +7,10 @@ import numpy as np
 import pytest
 
 from wavequake.campaign import extra, plugins
+from wavequake.campaign.contract import DONE, RAISED
+from wavequake.campaign.measured import one_by_one, study_kind
+from wavequake.campaign.measures import stored
+from wavequake.campaign.schema import Study
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.workflows import kinds
@@ -280,3 +284,40 @@ def test_an_unknown_measure_is_named(tmp_path, wavequake):
     assert code == 2
     assert "there is no measure 'comma'" in re.sub(r"\s+", " ", err)
     assert not (tmp_path / "store").exists()
+
+
+def halves(study, table, device, clock):
+    def of_case(case):
+        if case == 2:
+            raise UserError("two is not halved")
+        return {"half": 0.5 * case}
+
+    return one_by_one(table["case"], of_case)
+
+
+def test_cases_one_by_one_fail_alone_and_a_check_speaks_first():
+    def check(study):
+        if study.study.seed == 3:
+            raise UserError("three is no seed")
+
+    kind = study_kind(
+        "halves",
+        Study,
+        cases=lambda study, ids: {"realization": ids},
+        compute=halves,
+        measures=lambda study: [stored("half", "1", "half of it")],
+        check=check,
+        memory=lambda study: 1000,
+    )
+    text, wrong = (
+        Study(study={"name": "a", "workflow": "halves", "seed": seed}).identity_text() for seed in (1, 3)
+    )
+    found = kind.compute(text, np.arange(1, 4), "numpy")
+    assert found.status.tolist() == [DONE, RAISED, DONE]
+    assert found.messages == ("", "two is not halved", "")
+    np.testing.assert_array_equal(found.arrays["half"], [0.5, np.nan, 1.5])
+    assert kind.template(text).working_bytes == 8 + 1000
+    assert kind.module == __name__
+    kind.check(text)
+    with pytest.raises(UserError, match="three is no seed"):
+        kind.check(wrong)

@@ -23,8 +23,8 @@ from wavequake.optics.segments.prepared import chief_rays, prepare
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.workflows.budgets.budget import budget
+from wavequake.workflows.segments import disturbance as segments
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.disturbance import compute as compute_segments
 from wavequake.workflows.segments.disturbance import draw as draw_segments
 from wavequake.workflows.segments.draws import sampling_plan as segment_plan
 from wavequake.workflows.study import load_study
@@ -230,7 +230,7 @@ def test_a_moved_image_plane_moves_the_image_by_as_much(tmp_path):
     study = loaded(tmp_path, text, "")
     bench = bench_of(study.identity_text())
     shift = draw_segments(bench, 0).motion.rigid["image"][0, :2] * 1e3
-    found = compute_segments(study.identity_text(), np.arange(1), "numpy")
+    found = segments.KIND.compute(study.identity_text(), np.arange(1), "numpy")
     assert found.status[0] == DONE, found.messages
     moved = found.arrays["los"][0, 0] / (180 / np.pi * 3600e3) * bench.first_order.focal_length
     assert abs(bench.first_order.focal_length) == pytest.approx(focal, rel=1e-3)
@@ -271,7 +271,7 @@ def test_chosen_segments_move_as_they_do_among_all(tmp_path):
     modal = {"optics.light": "modal", "imaging.enabled": False}
     swings = entry("common-history", 'piston_nm = 10.0\nsegments = ["6"]')
     full, fast = (
-        compute_segments(one.identity_text(), np.arange(2), "numpy")
+        segments.KIND.compute(one.identity_text(), np.arange(2), "numpy")
         for one in (loaded(tmp_path, SEGMENTS, "", swings, **keys) for keys in ({}, modal))
     )
     np.testing.assert_allclose(
@@ -295,7 +295,7 @@ def test_segments_and_mirrors_follow_a_history_of_their_own(tmp_path):
     expected[1, bench.layout.names.index("6"), 2] = 0.02e-6
     np.testing.assert_allclose(drawn.motion.segment_motion, expected, rtol=1e-15)
     assert drawn.motion.rigid["M2"][1, 0] == pytest.approx(3e-6)
-    found = compute_segments(study.identity_text(), np.arange(1), "numpy")
+    found = segments.KIND.compute(study.identity_text(), np.arange(1), "numpy")
     assert found.status[0] == DONE, found.messages
     assert found.arrays["segment_piston_rms"][0, 1] == pytest.approx(20.0 / np.sqrt(len(bench.layout)))
 

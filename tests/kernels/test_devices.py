@@ -8,7 +8,15 @@ from typer.testing import CliRunner
 from wavequake.cli import app
 from wavequake.errors import UserError
 from wavequake.kernels.device import devices, opencl
-from wavequake.kernels.device.devices import NUMPY, Device, choose_device, list_devices, self_test, self_tests
+from wavequake.kernels.device.devices import (
+    NUMPY,
+    Device,
+    choose_device,
+    lens_test,
+    list_devices,
+    self_test,
+    self_tests,
+)
 from wavequake.kernels.device.example import lens
 from wavequake.kernels.trace.sequential import trace_sequence
 
@@ -61,6 +69,7 @@ def test_every_listed_device_agrees_with_numpy():
     assert found[-1] == NUMPY
     for device in found:
         assert self_test(device) < 1e-9
+        assert lens_test(device) < 1e-9
 
 
 @pytest.fixture
@@ -113,6 +122,7 @@ def test_broken_platforms_and_devices_are_listed_with_the_reason_and_hide_nothin
         return {"wrong": 1e-3}.get(device.name, 1e-12)
 
     monkeypatch.setattr(devices, "self_test", test_result)
+    monkeypatch.setattr(devices, "lens_test", lambda device: 0.0)
     rows = {device.label: result for device, result in self_tests()}
     assert list(rows) == ["Fine: a", "Fine: wrong", "Fine: crashes", "NumPy: numpy", "Broken: -"]
     assert rows["Fine: a"] == rows["NumPy: numpy"] == "1.0e-12"

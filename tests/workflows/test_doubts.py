@@ -2,7 +2,7 @@
 
 import pytest
 
-from wavequake.chain.doubts import doubts
+from wavequake.workflows.early_notices import doubts
 from wavequake.workflows.study import bundled_studies, load_study
 
 

@@ -15,9 +15,9 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
-from wavequake.workflows.bodies.sight import bodies_sight
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.disturbance import KIND, draw
+from wavequake.workflows.segments.draws import bodies_sight
 from wavequake.workflows.systems.bench import system_bench
 from wavequake.workflows.systems.disturbance import KIND as SYSTEM
 

@@ -25,8 +25,8 @@ from wavequake.kernels.device.devices import NUMPY
 from wavequake.mechanics.assembly.answers import STANDARD_GRAVITY
 from wavequake.workflows.systems.bench import system_bench
 from wavequake.workflows.systems.disturbance import KIND, prepare
+from wavequake.workflows.systems.draws import slot_of
 from wavequake.workflows.systems.measure import measured
-from wavequake.workflows.systems.variants import slot_of
 
 
 def test_a_telescope_on_a_floor_that_tilts_slowly_points_elsewhere(tmp_path):

@@ -61,6 +61,12 @@ class ChunkResult:
     timings: Mapping[str, float] = field(default_factory=dict)
 
 
+def unknown_arrays(variables: Mapping[str, Variable], cases: int) -> dict[str, NDArray[Any]]:
+    """Return arrays (case, ...) of which nothing is known: NaN, or 0 where they are of whole numbers."""
+    blank = {name: np.nan if np.dtype(one.dtype).kind in "fc" else 0 for name, one in variables.items()}
+    return {name: np.full((cases, *one.shape), blank[name], one.dtype) for name, one in variables.items()}
+
+
 def no_description(study: str) -> dict[str, str]:
     """Add nothing to the plan."""
     return {}
@@ -108,7 +114,8 @@ class StudyKind:
     {"trace": (1e9, "ray-surfaces")}; ``check`` raises UserError for a study that no case of can succeed,
     before a store is made; ``notices`` yields what the user should read before, such as doubtful units.
     ``compared`` are the coordinates of cases that plain reports tell apart, ``compared_of(study)`` where they
-    depend on the study; ``pictures(study, dataset)`` are added to them.
+    depend on the study; ``pictures(study, dataset)`` are added to them. ``module`` is the one that workers
+    load beforehand, where it is not that of ``compute``.
 
     Most kinds are written as measures: :func:`wavequake.campaign.measured.study_kind`.
     """
@@ -125,6 +132,7 @@ class StudyKind:
     compared: tuple[str, ...] = ("disturbance",)
     pictures: Callable[[str, Any], Iterator[Drawn]] = no_pictures
     compared_of: Callable[[str], tuple[str, ...]] | None = None
+    module: str = ""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel with the plug-ins of this process: where a kind arrives, they are loaded before it is."""

@@ -6,7 +6,6 @@ Such a measure is taken of the numbers that the kind itself computes of some cas
 
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Te
 from wavequake.campaign.measures import Axis, Measure, evaluate, template_of
 from wavequake.campaign.schema import store_measures
 from wavequake.errors import UserError
-from wavequake.registry import note_own
+from wavequake.registry import entry_points, note_own
 
 _GROUP = "wavequake.measures"
 _registered: dict[str, Measure] = {}
@@ -49,8 +48,9 @@ def _asked(study: str) -> tuple[Measure, ...]:
 
 def _found(name: str) -> Measure:
     if name not in _registered:
-        for point in entry_points(group=_GROUP, name=name):
-            register(point.load())
+        for point in entry_points(_GROUP):
+            if point.name == name:
+                register(point.load())
     if name not in _registered:
         known = ", ".join(_registered) or "none is registered"
         raise UserError(

@@ -1,10 +1,12 @@
 """Where and with what numbers were made: versions, commit, machine, BLAS and OpenCL device."""
 
 import hashlib
+import os
 import platform
 import subprocess
 from datetime import UTC, datetime
 from functools import lru_cache
+from glob import glob
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -83,10 +85,10 @@ def source_digest(package: Path, *others: Path) -> str:
     """Return a short digest of the sources that make numbers: Python of the package, kernels, firmware."""
     found = hashlib.blake2b(digest_size=6)
     for home, suffixes in ((package, (".py",)), *((other, (".cl", ".c", ".h")) for other in others)):
-        for file in sorted(home.rglob("*")):
-            name = file.relative_to(home)
-            if file.suffix in suffixes and name.parts[0] not in _NO_NUMBERS:
-                found.update(f"{name.as_posix()}\0".encode() + file.read_bytes())
+        names = [one for suffix in suffixes for one in glob(f"**/*{suffix}", root_dir=home, recursive=True)]
+        for name in sorted(one.replace(os.sep, "/") for one in names):
+            if name.split("/")[0] not in _NO_NUMBERS:
+                found.update(f"{name}\0".encode() + (home / name).read_bytes())
     return found.hexdigest()
 
 

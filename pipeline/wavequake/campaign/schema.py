@@ -29,7 +29,7 @@ Location = Sequence[str | int]
 class Section(BaseModel):
     """A table of a study file: frozen, strict, unknown keys are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
 
 def require_own_names(kind: str, blocks: Sequence[Any], taken: Sequence[str] = ()) -> None:
@@ -38,6 +38,14 @@ def require_own_names(kind: str, blocks: Sequence[Any], taken: Sequence[str] = (
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise ValueError(f"two {kind}s are called {twice!r}; each needs a name of its own")
+
+
+def each_once(value: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the values of a list, as a pydantic validator; raise ValueError if one is listed twice."""
+    twice = next((one for one in value if value.count(one) > 1), None)
+    if twice is not None:
+        raise ValueError(f"{twice!r} is listed twice")
+    return value
 
 
 class StudySection(Section):

@@ -17,8 +17,8 @@ def complete_study(beginning: str) -> list[str]:
 
 def complete_name(beginning: str) -> list[str]:
     """Return the same with bundled systems and telescopes."""
+    from wavequake.bundled import TELESCOPES
     from wavequake.optics.catalog.names import system_names
-    from wavequake.workflows.sensitivity_source import TELESCOPES
 
     systems = [name for name in (*system_names(), *TELESCOPES) if name.startswith(beginning)]
     return sorted({*systems, *complete_study(beginning)})

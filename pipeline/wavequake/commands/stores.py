@@ -187,6 +187,9 @@ def write_report(store: Path, fresh: bool, file: Path | None = None) -> None:
 
     path = report_path(store)
     if fresh or not is_current(store):
+        from wavequake.drawing.unexplained import leave_help_out
+
+        leave_help_out()
         from wavequake.report.campaign import report_store
 
         table, path = report_store(store, file)

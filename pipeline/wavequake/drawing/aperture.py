@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
+from wavequake.drawing.faces import Faces
 from wavequake.drawing.labels import Labels
 from wavequake.drawing.layout import Layout, Part, layouts
 from wavequake.drawing.light import field_names
@@ -159,8 +159,7 @@ def draw_aperture(axes: Axes, telescope: OpticalSystem) -> None:
             Circle((0, 0), telescope.annulus.inner / 1e3, facecolor="white", edgecolor=_EDGE, lw=0.9)
         )
     else:
-        polygons = PolyCollection(list(corners), facecolors=_FILL, edgecolors=_EDGE, linewidths=0.5)
-        axes.add_collection(polygons)
+        axes.add_collection(Faces(corners, _FILL, _EDGE, 0.5))
         _write_names(axes, corners, segments.names, 1.04 * reach)
     axes.set(xlim=(-1.04 * reach, 1.04 * reach), ylim=(-1.04 * reach, 1.04 * reach), aspect="equal")
     axes.set_xlabel("x (m); dashed: pupil")

@@ -11,7 +11,7 @@ MM_PER_NM = 1e-6
 class FileSection(BaseModel):
     """A part of a study file: unknown keys and numbers that are not finite are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]

@@ -60,7 +60,10 @@ def _opened(store: Path) -> "xr.Dataset":
 
 def load(workflow: str) -> None:
     """Import what the reports of a kind of study need, most of which is what draws."""
+    from wavequake.drawing.unexplained import leave_help_out
+
     with suppress(ImportError):  # said where the report is written
+        leave_help_out()
         _report_of(workflow)
         import_module("matplotlib.backends.backend_svg")
         import_module("wavequake.report.page")

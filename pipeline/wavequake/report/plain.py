@@ -19,11 +19,10 @@ from rich.text import Text
 from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
 from wavequake.report.answers import budget
-from wavequake.report.figures import COLORS, LINES, STYLE, one_panel
+from wavequake.report.figures import COLORS, LINES, STYLE, distributions, one_panel
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import quantile
-from wavequake.report.systems.figures import distributions
 from wavequake.report.table import empty_table, interval, number
 from wavequake.words import counted
 from wavequake.workflows import kinds
@@ -117,11 +116,7 @@ def rows(dataset: xr.Dataset) -> list[Row]:
             reduced = reduced.sel(statistic="rms", drop=True)
         if "axis" in one.dims:
             reduced = (reduced**2).sum("axis", skipna=False) ** 0.5
-        units = (
-            str(one.attrs.get("units", "1")).replace("1", "", 1)
-            if one.attrs.get("units") == "1"
-            else str(one.attrs.get("units", ""))
-        )
+        units = str(one.attrs.get("units", ""))
         rest = reduced.dims[1:]
         table = reduced.stack(entry=rest) if rest else reduced.expand_dims("entry", axis=1)
         for index in range(min(table.sizes["entry"], _ENTRIES)):
@@ -136,15 +131,14 @@ def rows(dataset: xr.Dataset) -> list[Row]:
                 )
             )
             values = table.isel(entry=index).to_numpy()
-            found.append(Row(str(one.name), labels, units, values))
+            found.append(Row(str(one.name), labels, "" if units == "1" else units, values))
     return found
 
 
 def _label(dataset: xr.Dataset, dim: str, place: int) -> str:
     if dim not in dataset.coords:
         return str(place)
-    value = dataset[dim].to_numpy()[place]
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return short(dataset[dim].to_numpy()[place])
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:

@@ -1,6 +1,6 @@
 """Which reduced models of bodies or segments are good enough: their errors, by disturbance."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, STYLE, one_panel
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
+from wavequake.workflows.mirrors.compared_models import ComparedSection
 
 _MARKS = "osD^v<>Pp*"
 
@@ -70,16 +71,22 @@ def _percent(one: ModelResult) -> str:
     return f"{number(100.0 * one.share, 2)} %"
 
 
-def pictures(found: Sequence[ModelResult], largest: float) -> Iterator[Picture]:
-    """Yield the figure of the errors."""
-    if found:
-        yield picture(
-            "models",
-            "Errors of reduced models",
-            errors_figure(found, largest),
-            "Each mark is a disturbance: rms of the error of line of sight or wavefront, the larger one, "
-            "in parts of what the disturbance does. Below the line a model is good enough.",
-        )
+def compared_models(dataset: xr.Dataset, section: ComparedSection | None) -> tuple[str, list[Picture]]:
+    """Return the verdict on the models that a store compares, and the figure of their errors.
+
+    Nothing of both, where its study has no such section.
+    """
+    found = model_results(dataset, section.variants) if section is not None else []
+    if section is None or not found:
+        return "", []
+    figure = picture(
+        "models",
+        "Errors of reduced models",
+        errors_figure(found, section.largest),
+        "Each mark is a disturbance: rms of the error of line of sight or wavefront, the larger one, "
+        "in parts of what the disturbance does. Below the line a model is good enough.",
+    )
+    return verdict(found, section.largest), [figure]
 
 
 @rc_context(STYLE)

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.store.store import Manifest
 from wavequake.drawing.solid import system_scene
 from wavequake.mechanics.assembly.answers import watching
-from wavequake.mechanics.disturbances.element_motion import ElementMotion
+from wavequake.mechanics.disturbances.motion import Motion
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.system import States
@@ -19,8 +19,7 @@ from wavequake.viewer.film import Array, Stage, Take, principal, stage_of
 from wavequake.viewer.structure import members_of, nodes_of, with_members
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.systems.bench import MM_PER_M, SystemBench, system_bench, system_states
-from wavequake.workflows.systems.draws import drawn_with
-from wavequake.workflows.systems.variants import slot_of
+from wavequake.workflows.systems.draws import drawn_with, slot_of
 
 _MOST_INSTANTS = 400
 _EXACT = 2e-5
@@ -102,7 +101,7 @@ def _take(
 def take_of(
     bench: SystemBench,
     stored: xr.Dataset,
-    drawn: ElementMotion,
+    drawn: Motion,
     label: str,
     stage: Stage,
     surfaces: list[int],

@@ -1,9 +1,9 @@
 """What can be said of a study before anything of it is prepared."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from wavequake.campaign.schema import Study
-from wavequake.chain.doubts import doubts
 from wavequake.mechanics.disturbances.folded import folded_lines
 from wavequake.mechanics.disturbances.population import Population
 from wavequake.words import counted
@@ -12,6 +12,15 @@ from wavequake.workflows.systems.out_of_focus import out_of_focus
 
 _OF_INSTANTS = ("system-disturbance", "segment-disturbance")  # their reports draw spectra over instants
 _MOST_LISTED = 10_000  # cases; more leave no disturbance out
+# Largest amplitude of a vibration or misalignment that nobody asks about: a centimeter, a tenth of a radian.
+_M, _RAD = (1e-2, "m"), (0.1, "rad")
+_UNITS = {
+    "nm": (1e-9, _M),
+    "um": (1e-6, _M),
+    "nrad": (1e-9, _RAD),
+    "urad": (1e-6, _RAD),
+    "mas": (4.84813681109536e-9, _RAD),
+}
 
 
 def early_notices(study: Study) -> Iterator[str]:
@@ -41,3 +50,24 @@ def without_cases(study: Study) -> Iterator[str]:
         few = f"{counted(study.cases, 'case')} {'is' if study.cases == 1 else 'are'} too few"
         has = "has" if len(lacking) == 1 else "have"
         yield f"note: {few} for all disturbances: {', '.join(lacking)} {has} none; raise campaign.cases."
+
+
+def doubts(study: Study) -> Iterator[str]:
+    """Yield a sentence for every amplitude of a disturbance whose unit is likely to be mistaken."""
+    for entry in study.model_dump().get("disturbance", ()):
+        yield from _doubted(entry, f"disturbance.{entry['name']}", "")
+
+
+def _doubted(value: Any, where: str, unit: str) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _doubted(
+                part, f"{where}.{key}", str(key).rpartition("_")[2] if "_" in str(key) else unit
+            )
+    elif isinstance(value, list | tuple):
+        for place, part in enumerate(value):
+            yield from _doubted(part, f"{where}.{place}", unit)
+    elif isinstance(value, float) and unit in _UNITS:
+        factor, (largest, base) = _UNITS[unit]
+        if abs(value) * factor > largest:
+            yield f"warning: {where} = {value:g} is {value * factor:.3g} {base}; is {unit} its unit?"

@@ -4,12 +4,13 @@ import difflib
 import json
 from collections.abc import Iterator
 from importlib import import_module
-from importlib.metadata import entry_points
+from typing import Any
 
 from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.extra import with_extra
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
-from wavequake.registry import note_own
+from wavequake.registry import entry_points, note_own
 
 _GROUP = "wavequake.studies"
 # Each module has KIND. It is imported when its name is first asked for: commands that need none are quick.
@@ -75,7 +76,7 @@ def find_kind(name: str) -> StudyKind:
     if name not in _registered and (module := {**_BUNDLED, **_MADE}.get(name)):
         return with_extra(import_module(module).KIND)
     if name not in _registered and name in _installed():
-        (entry,) = entry_points(group=_GROUP, name=name)
+        (entry,) = (one for one in entry_points(_GROUP) if one.name == name)
         _add(entry.load())
     if name in _registered:
         return with_extra(_registered[name])
@@ -87,6 +88,11 @@ def find_kind(name: str) -> StudyKind:
     )
 
 
+def study_of(text: str) -> Any:
+    """Return the study of an identity text, by the model of its kind."""
+    return study_from_identity(find_kind(json.loads(text)["study"]["workflow"]).model, text)
+
+
 def compared_labels(study: str) -> tuple[str, ...]:
     """Return the labels by which a study tells its cases apart, from the text of its identity."""
     kind = find_kind(json.loads(study)["study"]["workflow"])
@@ -94,4 +100,4 @@ def compared_labels(study: str) -> tuple[str, ...]:
 
 
 def _installed() -> Iterator[str]:
-    return (entry.name for entry in entry_points(group=_GROUP))
+    return (entry.name for entry in entry_points(_GROUP))

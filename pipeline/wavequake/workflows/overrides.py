@@ -1,10 +1,10 @@
 """Overrides of a study's keys: ``section.key = value`` in a record, which is then validated."""
 
 import difflib
+import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from wavequake.campaign.schema import Study, describe
@@ -163,7 +163,8 @@ def override(record: dict[str, Any], key: str, value: Any, model: type[Study]) -
             )
     if isinstance(node, list):
         raise UserError(f"The key {key!r} names a whole entry; write {key}.key=value.")
-    node[last] = value.item() if isinstance(value, np.generic) else value  # np.int64 is a number, too
+    numpy = sys.modules.get("numpy")  # who has not loaded it gives no np.int64, which is a number, too
+    node[last] = value.item() if numpy is not None and isinstance(value, numpy.generic) else value
 
 
 def _entry(entries: list[Any], name: str, where: str) -> Any:

@@ -5,25 +5,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from wavequake.bundled import TELESCOPES as TELESCOPES
+from wavequake.bundled import bundled_studies
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.optics.catalog.names import system_names
 from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.workflows.overrides import split_overrides
-from wavequake.workflows.study import bundled_studies, load_study, near_matches, study_of
+from wavequake.workflows.study import load_study, near_matches, study_of
 
-# Telescopes are those of studies, with their light and rays.
-TELESCOPES: dict[str, tuple[str, dict[str, Any]]] = {
-    "jwst": ("jwst-segments", {}),
-    "tmt": ("tmt-segments", {}),
-    "tmt-18": ("tmt-segments", {"telescope.name": "tmt-18"}),
-    "tmt-thesis": ("tmt-segments", {"telescope.name": "tmt-thesis"}),
-    "elt": ("tmt-segments", {"telescope.name": "elt"}),
-    "keck": ("tmt-segments", {"telescope.name": "keck"}),
-    "gtc": ("tmt-segments", {"telescope.name": "gtc"}),
-    "het": ("tmt-segments", {"telescope.name": "het"}),
-    "gmt": ("tmt-segments", {"telescope.name": "gmt"}),
-}
 # Keys that say what the system is: with one of them, the name would be that of something else.
 _WHOLE = (
     "study.workflow",

@@ -1,14 +1,13 @@
 """Load study files: TOML in, one validated frozen record of the study's own kind out."""
 
 import difflib
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from wavequake.bundled import bundled_studies as bundled_studies
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
-from wavequake.files import folder
 from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.user_files import read_text, read_toml
 from wavequake.workflows.kinds import find_kind, kind_names
@@ -22,19 +21,6 @@ from wavequake.workflows.overrides import (
     validated,
 )
 from wavequake.workflows.sweep import NAME, SweepStudy, base_study, swept_study
-
-
-def bundled_studies() -> dict[str, Path]:
-    """Return the study files that come with Wavequake, by name."""
-    return {path.stem: path for path in sorted(folder("workflows").glob("*.toml"))}
-
-
-def bundled_titles() -> dict[str, str]:
-    """Return what each bundled study says of itself, by name; loads no study kind."""
-    records = {
-        name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in bundled_studies().items()
-    }
-    return {name: str(record["study"].get("title", "")) for name, record in records.items()}
 
 
 def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Study:

@@ -73,8 +73,9 @@ def begin_workers(workflow: StudyKind, path: Path, on: str) -> None:
 
 
 def _have_workers_load(workflow: StudyKind, path: Path) -> None:
-    """Load what workers run in the process that they are forked from; each would take a second for it."""
-    prepare_workers(_TASKS, workflow.compute.__module__, *(["s3fs"] * isinstance(path, ObjectPath)))
+    """Load what workers run once, in the process that they are forked from."""
+    home = workflow.module or workflow.compute.__module__
+    prepare_workers(_TASKS, home, *(["s3fs"] * isinstance(path, ObjectPath)))
 
 
 def finished(workflow: StudyKind, study: str, path: Path, cases: int, device: str) -> CampaignSummary | None:

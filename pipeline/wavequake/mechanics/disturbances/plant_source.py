@@ -96,7 +96,7 @@ class PlantSource(Source):
 class SpectrumKeys(BaseModel):
     """A power spectral density: flat in a band, or from a file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     rms: float | None = Field(
         default=None, gt=0, le=1e12, description="of the whole spectrum; a file may do without"

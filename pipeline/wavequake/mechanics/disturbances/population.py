@@ -16,7 +16,7 @@ MOST_ON_AXIS = 4096
 class Population(BaseModel):
     """One population of cases: frozen, strict, unknown keys are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", description="also names its random numbers")
     duration_s: float = Field(default=0.1, gt=0, le=1e5, description="time that one case covers")

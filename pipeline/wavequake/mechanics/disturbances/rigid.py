@@ -12,7 +12,7 @@ _MICRO = 1e-6
 class RigidSizes(BaseModel):
     """How much an element moves in its own frame at rest: shifts along x, y, z and turns about them."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     dx_um: NonNegative = Field(default=0.0, description="shift along x; 0: none")
     dy_um: NonNegative = Field(default=0.0, description="shift along y; 0: none")

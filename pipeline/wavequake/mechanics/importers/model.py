@@ -55,7 +55,7 @@ class ImportedModel(BaseModel):
     ``file = "plate.sti"`` finds plate.mas, plate.dof and plate.inp beside it.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     file: str = Field(description="stiffness (.sti, .mtx) or all matrices (.full, .op4, .pch, .npz, .h5)")
     mass: str | None = Field(default=None, description="default: beside file")

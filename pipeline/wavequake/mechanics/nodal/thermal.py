@@ -15,7 +15,7 @@ from wavequake.mechanics.nodal.expansion import Material, Solid
 
 Nodes = str | Annotated[tuple[int | str, ...], Field(strict=False)]  # a study file has lists
 
-_KEYS = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+_KEYS = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
 
 class _OfWhat(BaseModel):

@@ -38,7 +38,7 @@ _HARMONICS = 256
 class Excitation(BaseModel):
     """What all excitations have in common: where they act and in which direction."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", description="also names its random numbers")
     acts: Literal["displacement", "force"] = Field(

@@ -1,6 +1,6 @@
 """Sensitivities for the terminal: a table of the surfaces, one of the segments, and what the numbers mean."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,12 +186,7 @@ def explanations(found: Arrays) -> list[str]:
     """Return what the numbers mean, how they were made and how far two steps agree, in lines."""
     attrs = found.attrs
     steps = dict(zip(DOFS, found["step_surface"].values, strict=True))
-    kinds = ("surface", "segment", "figure", "mirror")
-    errors = "; ".join(
-        f"{kind}s {attrs[f'worst_step_error_{kind}']}"
-        for kind in kinds
-        if f"worst_step_error_{kind}" in attrs
-    )
+    errors = step_errors(found, ("surface", "segment", "figure", "mirror"), "s")
     figure = f", {found['step_figure'].values[0]:g} m of figure" if "step_figure" in found else ""
     lines = [
         "M1 among the surfaces: all its segments as one rigid body, about its vertex.",
@@ -200,11 +195,24 @@ def explanations(found: Arrays) -> list[str]:
         f"Central differences, steps {steps['dx']:g} m and {steps['rx']:g} rad{figure}. Steps twice as large "
         f"agree to (worst, relative): {errors}.",
     ]
+    return [*lines, *warnings(found, "{}", "telescope acts nonlinearly; another sampling may help")]
+
+
+def warnings(found: Arrays, lost: str, acts: str) -> Iterator[str]:
+    """Yield what to know of the numbers: light that is lost (in these words), steps that disagree, a note."""
+    attrs = found.attrs
     if "vignetted" in attrs:
-        lines.append(f"{attrs['vignetted']}; the numbers are those of the others.")
+        yield f"{lost.format(attrs['vignetted'])}; the numbers are those of the others."
     if not attrs["steps_agree"]:
-        lines.append(
-            f"Not to be trusted: the columns whose step_error is above {attrs['step_tolerance']:g}. "
-            "A ray crosses an edge there or the telescope acts nonlinearly; another sampling may help."
+        yield (
+            f"Not to be trusted: the columns whose step_error is above {attrs['step_tolerance']:g}. A ray "
+            f"crosses an edge there or the {acts}."
         )
-    return [*lines, attrs["note"]] if "note" in attrs else lines
+    if "note" in attrs:
+        yield attrs["note"]
+
+
+def step_errors(found: Arrays, kinds: Iterable[str], many: str = "") -> str:
+    """Return how far two steps agree at worst, for each kind of element that there is."""
+    key = "worst_step_error_"
+    return "; ".join(f"{kind}{many} {found.attrs[key + kind]}" for kind in kinds if key + kind in found.attrs)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from wavequake.campaign.store.whole import Arrays
-from wavequake.report.answers.sensitivity import conclusion, zernike_name
+from wavequake.report.answers.sensitivity import conclusion, step_errors, warnings, zernike_name
 from wavequake.report.table import MISSING, empty_table, number
 
 Array = NDArray[np.float64]
@@ -89,23 +89,11 @@ def answer(found: Arrays) -> str:
 def explanations(found: Arrays) -> list[str]:
     """Return what the numbers mean, how they were made and how far two steps agree, in lines."""
     attrs = found.attrs
-    errors = "; ".join(
-        f"{name} {attrs[f'worst_step_error_{name}']}"
-        for name in _TITLES
-        if f"worst_step_error_{name}" in attrs
-    )
-    steps = found["step_surface"].values
+    steps, errors = found["step_surface"].values, step_errors(found, _TITLES)
     lines = [
         f"At {attrs['wavelength_nm']:.6g} nm. LOS: {attrs['line_of_sight']}, in the image plane. WFE: rms of "
         "the fitted Zernike terms j ≥ 4. Motions that change neither are left out.",
         f"Central differences, steps {steps[0]:g} m and {steps[3]:.2g} rad. Steps twice as large agree to "
         f"(worst, relative): {errors}.",
     ]
-    if "vignetted" in attrs:
-        lines.append(f"At rest openings stop {attrs['vignetted']}; the numbers are those of the others.")
-    if not attrs["steps_agree"]:
-        lines.append(
-            f"Not to be trusted: the columns whose step_error is above {attrs['step_tolerance']:g}. A ray "
-            "crosses an edge there or the system acts nonlinearly."
-        )
-    return [*lines, attrs["note"]] if "note" in attrs else lines
+    return [*lines, *warnings(found, "At rest openings stop {}", "system acts nonlinearly")]

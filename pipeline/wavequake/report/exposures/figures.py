@@ -6,18 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel, stacked
+from wavequake.drawing.ticks import in_inches
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, color_scale, curve_style, one_panel, stacked
 
 Array = NDArray[np.float64]
 
 # Decades below the peak that a picture shows.
 _DECADES = 4
 _TRACK = "#ff4d4d"
+# Inches beside, below and between panels, of which the scale of colors is to the right.
+_LEFT, _RIGHT, _BOTTOM, _TITLE, _GAP = 0.65, 0.85, 0.5, 0.3, 0.2
 
 
 @dataclass(frozen=True)
@@ -37,43 +40,32 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     """Show exposures with one logarithmic scale and the line of sight as a line (Fig. 4.32b and 4.45)."""
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
-    square = (WIDTH - 1.6) / columns  # inches, beside numbers and scale
-    figure = Figure(
-        figsize=(WIDTH, min(HEIGHT, square) * rows + 0.3 * rows + 0.4), layout=_Twice(compress=True)
-    )
-    grid = figure.subplots(rows, columns, squeeze=False)
-    places = grid.ravel()
+    side = min(HEIGHT - 0.8, (WIDTH - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns)
+    pitch = side + _TITLE
+    high = _BOTTOM + rows * pitch
+    figure = Figure(figsize=(WIDTH, high))
     top = max(float(panel.image.max()) for panel in panels)
     half = 0.5 * (axis[1] - axis[0])
     extent = (axis[0] - half, axis[-1] + half, axis[0] - half, axis[-1] + half)
-    picture = None
-    for number, (place, panel) in enumerate(zip(places, panels, strict=False)):
-        floor = 10.0**-_DECADES * top
-        picture = place.imshow(
-            np.maximum(panel.image, floor), norm=LogNorm(floor, top), origin="lower", extent=extent
+    norm = LogNorm(10.0**-_DECADES * top, top)
+    for number, panel in enumerate(panels):
+        row, column = divmod(number, columns)
+        place = in_inches(
+            figure, _LEFT + column * (side + _GAP), _BOTTOM + (rows - 1 - row) * pitch, side, side
         )
+        place.imshow(np.maximum(panel.image, norm.vmin), norm=norm, origin="lower", extent=extent)
         place.plot(panel.track[:, 0], panel.track[:, 1], color=_TRACK, linewidth=0.8)
         place.plot(*panel.track[-1:].T, "o", color=_TRACK, markersize=2.0)
         place.set_xlim(*extent[:2])
         place.set_ylim(*extent[2:])
         place.set_title(panel.title, fontsize=8)
-        lowest, leftmost = number + columns >= len(panels), number % columns == 0
+        lowest, leftmost = number + columns >= len(panels), column == 0
         place.tick_params(labelbottom=lowest, labelleft=leftmost)
         place.set(xlabel="x (λ/D)" if lowest else "", ylabel="y (λ/D)" if leftmost else "")
-    for place in places[len(panels) :]:
-        place.set_visible(False)
-    if picture is not None:
-        scale = figure.colorbar(picture, ax=list(places), shrink=1.0 if rows == 1 else 0.8)
-        scale.set_label("irradiance; 1 = perfect peak", fontsize=8)
+    right = _LEFT + columns * (side + _GAP) - _GAP + 0.1
+    scale = right / WIDTH, _BOTTOM / high, 0.13 / WIDTH, (rows * pitch - _TITLE) / high
+    color_scale(figure, scale, ScalarMappable(norm), "irradiance; 1 = perfect peak")
     return figure
-
-
-class _Twice(ConstrainedLayoutEngine):
-    """Numbers of axes of the size that they are given first may need more room, which is made next."""
-
-    def execute(self, fig: Figure) -> None:
-        for _ in range(2):
-            super().execute(fig)
 
 
 @rc_context(STYLE)

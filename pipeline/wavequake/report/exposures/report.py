@@ -12,7 +12,7 @@ from wavequake.campaign.schema import study_from_identity
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
-from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels, polygons
+from wavequake.report.exposures.psf_figures import Mask, annulus, polygons
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out
@@ -182,14 +182,9 @@ def _image_pictures(shown: xr.Dataset, name: str, los: dict[str, Array]) -> Iter
         "The full exposure beside cheaper ways to it; the number above each is how far it is off.",
     )
     exposures = dict(zip(controllers, pictures["exposure"], strict=True))
-    yield from common.image_pictures(name, f"the exposures of case {case}", exposures, axis, _pupil(shown))
-    focus, waves = shown["static_focus"].to_numpy(), shown["focus"].to_numpy().tolist()
-    yield picture(
-        f"{name}-focus",
-        "The image at rest through focus",
-        focus_panels(focus, waves, axis),
-        "The same scale everywhere; symmetric pictures about 0 mean that the focus is right.",
-    )
+    focus = "The image at rest through focus", shown["static_focus"]
+    words = f"the exposures of case {case}"
+    yield from common.image_pictures(name, words, exposures, axis, _pupil(shown), focus)
     if "object_image" in shown:
         seen = shown["object_image"]
         objects = dict(zip(controllers, seen.to_numpy(), strict=True))

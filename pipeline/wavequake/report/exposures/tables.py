@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.exposures import figures as draw
-from wavequake.report.exposures.psf_figures import Mask, image_row, log_psf, mtf_curves
+from wavequake.report.exposures.psf_figures import Mask, focus_panels, image_row, log_psf, mtf_curves
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
 
@@ -55,9 +55,17 @@ def shortcut_titles(one: xr.Dataset) -> tuple[str, str]:
 
 
 def image_pictures(
-    key: str, text: str, images: Mapping[str, Array], axis: Array, pupil: Mask
+    key: str,
+    text: str,
+    images: Mapping[str, Array],
+    axis: Array,
+    pupil: Mask,
+    focus: tuple[str, xr.DataArray],
 ) -> Iterator[Picture]:
-    """Yield the MTF of images, and the first of them on a logarithmic scale; `pupil` as `frame_mtf`."""
+    """Yield the MTF of images, and the first of them on a logarithmic scale; `pupil` as `frame_mtf`.
+
+    Of `focus`, a title and images (focus, y, x), the images through focus are shown.
+    """
     first, image = next(iter(images.items()))
     yield picture(
         f"{key}-mtf",
@@ -71,6 +79,13 @@ def image_pictures(
         f"Image of {text}, {first}, five decades",
         log_psf(image, axis),
         "Five decades: what lies far from the core.",
+    )
+    title, through = focus
+    yield picture(
+        f"{key}-focus",
+        title,
+        focus_panels(through.to_numpy(), through["focus"].to_numpy().tolist(), axis),
+        "The same scale everywhere; symmetric pictures about 0 mean that the focus is right.",
     )
 
 

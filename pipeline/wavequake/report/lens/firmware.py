@@ -8,11 +8,10 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, distributions
 from wavequake.report.mirrors.variants import few
-from wavequake.report.statistics import distribution
 from wavequake.report.table import number
-from wavequake.workflows.lens.bench import study_of
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.lens.experiment import exact_of
 
 Array = NDArray[np.float64]
@@ -84,26 +83,10 @@ def firmware_of(dataset: xr.Dataset, rows: NDArray[np.int64]) -> Firmware | None
     return Firmware(arithmetic, hashes, largest, rms, left[..., places], left[..., [exact]])
 
 
-@rc_context(STYLE)
 def off_exact(firmware: Firmware) -> Figure:
     """Show over plants how far commands are off those in double precision."""
-    figure = Figure(figsize=(1.4 * WIDTH, HEIGHT))
-    axes = figure.add_axes((0.09, 0.15, 0.89, 0.75))
-    for place, name in enumerate(firmware.arithmetic):
-        curve = distribution(firmware.rms[:, place], points=_MOST_POINTS)
-        axes.step(
-            curve.values,
-            100 * curve.probability,
-            where="post",
-            label=name,
-            **curve_style(place),
-        )
-    axes.set_xlim(left=0)
-    axes.set_ylim(0, 103)
-    axes.set_xlabel("rms difference of commands from double precision (µm); the converter's step is 3.9 µm")
-    axes.set_ylabel("plants (%)")
-    axes.legend(loc="lower right")
-    return figure
+    values = {name: firmware.rms[:, place] for place, name in enumerate(firmware.arithmetic)}
+    return distributions(values, "rms difference of commands (µm); a step of the converter is 3.9 µm")
 
 
 @rc_context(STYLE)

@@ -8,6 +8,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from wavequake.drawing.ticks import label_powers
@@ -73,6 +74,13 @@ def logarithmic(axes: Axes, *, both: bool = True) -> None:
         axes.set_yscale("log")
     for axis in (axes.xaxis, axes.yaxis) if both else (axes.xaxis,):
         label_powers(axis)
+
+
+def show_rates(axes: Axes) -> None:
+    """Give axes of rates and bandwidths, which are few, a logarithmic scale with plain numbers."""
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 @rc_context(STYLE)

@@ -12,13 +12,13 @@ from rich.table import Table
 
 from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
-from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels
+from wavequake.report.exposures.psf_figures import Mask, annulus
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.mirrors.variants import few
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out
 from wavequake.report.table import MISSING, number, radius, table_of_rows
-from wavequake.workflows.mirrors.bench import any_study_of, bench_of, cases_of
+from wavequake.workflows.mirrors.bench import bench_of, cases_of, study_of
 
 Array = NDArray[np.float64]
 
@@ -152,7 +152,7 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
 def _pupil(part: xr.Dataset) -> Mask:
     """Return which part of the pupil reflects."""
     text = str(part.attrs["study"])
-    name, _ = cases_of(any_study_of(text))[int(part["case"][0])]
+    name, _ = cases_of(study_of(text))[int(part["case"][0])]
     return annulus(bench_of(text, name).optics.obscuration)
 
 
@@ -185,17 +185,9 @@ def _image_pictures(
             "Red: the line of sight during the exposure; the static image is the best that there can be.",
         )
     exposures = {static.title: static.image, **dict(zip(variants, images["exposure"], strict=True))}
-    yield from common.image_pictures(
-        key, f"rest and exposures, scale {scale:g}", exposures, axis, _pupil(part)
-    )
-    focus, waves = part["exposure_focus"].isel(case=0).to_numpy(), part["focus"].to_numpy().tolist()
-    text = f"The exposure through focus, {variants[0]}, scale {scale:g}"
-    yield picture(
-        f"{key}-focus",
-        text,
-        focus_panels(focus, waves, axis),
-        "The same scale everywhere; symmetric pictures about 0 mean that the focus is right.",
-    )
+    words, through = f"rest and exposures, scale {scale:g}", part["exposure_focus"].isel(case=0)
+    focus = f"The exposure through focus, {variants[0]}, scale {scale:g}", through
+    yield from common.image_pictures(key, words, exposures, axis, _pupil(part), focus)
     if "object_image" in part:
         seen = part["object_image"]
         objects = {"static": part["object_static"].isel(case=0).to_numpy()}

@@ -13,6 +13,9 @@ from wavequake.drawing.ticks import label_powers
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, curve_style, one_panel, stacked
 from wavequake.report.mirrors.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
 
+Array = NDArray[np.float64]
+
+_FLOOR = 1e-9  # of errors in a figure
 EXPOSED = 3  # variants whose exposures stand beside that of the reference
 # Noll indices whose responses Fig. 4.29 shows: one of each pair that three-fold symmetry makes alike.
 _SHOWN = (2, 4, 5, 7, 9, 11)
@@ -146,25 +149,48 @@ def mechanical_and_optical(dataset: xr.Dataset, reference: VariantResult) -> Fig
     return figure
 
 
-@rc_context(STYLE)
 def wavefront_history(
     dataset: xr.Dataset, excitation: str, shown: Sequence[VariantResult], reference: VariantResult
 ) -> Figure:
     """Draw the wavefront error over time, and beneath it how far the variants are off the reference."""
+    part, cases = dataset.sel(excitation=excitation), {one.variant: one.case for one in shown}
+    curves = {
+        name: tuple(part[key].sel(case=case).to_numpy() for key in ("wfe_rms", "wfe_error"))
+        for name, case in cases.items()
+    }
+    truth, title = part["wfe_rms"].sel(case=reference.case), f"{excitation}; gray: {reference.variant}"
+    return beside_reference(
+        dataset, truth.to_numpy(), curves, title, ("WFE rms (nm)", "off the reference (nm)")
+    )
+
+
+@rc_context(STYLE)
+def beside_reference(
+    dataset: xr.Dataset,
+    truth: Array,
+    curves: Mapping[str, tuple[Array, ...]],
+    title: str,
+    labels: tuple[str, str],
+    line: float | None = None,
+) -> Figure:
+    """Draw histories (n,) by variant over a gray one of the reference, and beneath how far they are off it.
+
+    `labels` are those of both axes; a dashed `line` marks an error.
+    """
     figure, (above, below) = stacked()
     time = dataset["time"].to_numpy() * 1e3
-    part = dataset.sel(excitation=excitation)
-    above.plot(time, part["wfe_rms"].sel(case=reference.case), color="#999999", linewidth=2.6)
-    for number, one in enumerate(shown):
-        above.plot(time, part["wfe_rms"].sel(case=one.case), **curve_style(number))
-        off = np.maximum(part["wfe_error"].sel(case=one.case).to_numpy(), 1e-9)
-        below.semilogy(time, off, label=one.variant, **curve_style(number))
-    _label_histories(above, below, f"{excitation}; gray: {reference.variant}", "off the reference (nm)")
+    above.plot(time, truth, color="#999999", linewidth=2.6)
+    for number, (name, (values, off)) in enumerate(curves.items()):
+        above.plot(time, values, **curve_style(number))
+        below.semilogy(time, np.maximum(off, _FLOOR), label=name, **curve_style(number))
+    if line is not None:
+        below.axhline(line, color="#444444", linewidth=0.8, linestyle=(0, (5, 2)))
+    _label_histories(above, below, title, *labels)
     return figure
 
 
-def _label_histories(above: Axes, below: Axes, title: str, difference: str) -> None:
-    above.set_ylabel("WFE rms (nm)")
+def _label_histories(above: Axes, below: Axes, title: str, values: str, difference: str) -> None:
+    above.set_ylabel(values)
     above.set_title(title)
     label_powers(below.yaxis)
     below.set_ylabel(difference)
@@ -224,10 +250,10 @@ def both_methods(dataset: xr.Dataset, excitation: str, shown: Sequence[tuple[int
         one, color = part.sel(case=case), COLORS[number % len(COLORS)]
         above.plot(time, one["wfe_rms_standard"], color=color, linewidth=2.4, alpha=0.35)
         above.plot(time, one["wfe_rms_modal"], color=color, linewidth=0.9)
-        off = np.maximum(one["wfe_difference"].to_numpy(), 1e-9)
+        off = np.maximum(one["wfe_difference"].to_numpy(), _FLOOR)
         below.semilogy(time, off, label=variant, **curve_style(number))
     title = f"{excitation}; wide: every instant traced, thin: sensitivities of modes"
-    _label_histories(above, below, title, "difference (nm)")
+    _label_histories(above, below, title, "WFE rms (nm)", "difference (nm)")
     return figure
 
 

@@ -5,8 +5,6 @@ import json
 import numpy as np
 import xarray as xr
 
-from wavequake.workflows.mirrors.model_store import shown_name
-
 _LABELS = ("model", "checked_model")
 
 
@@ -17,6 +15,8 @@ def name_models(dataset: xr.Dataset) -> xr.Dataset:
     content = section.get("content") if isinstance(section, dict) else None
     if content is None:
         return dataset
+    from wavequake.workflows.mirrors.model_store import shown_name  # slow to load
+
     named = {
         label: (
             dataset[label].dims,

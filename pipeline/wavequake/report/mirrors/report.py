@@ -72,15 +72,34 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
 
 def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
     """Return the HTML report."""
+    models, _ = results_of(dataset)
+    beside = picture(
+        "models",
+        "The models themselves",
+        draw.models_side_by_side(dataset, models),
+        "What the variants have to reproduce: the full models on one scale.",
+    )
+    sections = [Section(model.name, list(_figures(dataset, model))) for model in models]
+    small_print = f"{_SMALL_PRINT} {checked(dataset)}"
+    return page_of_variants(dataset, "model", small_print, sections, _DEFINITIONS, [beside])
+
+
+def page_of_variants(
+    dataset: xr.Dataset,
+    label: str,
+    small_print: str,
+    sections: list[Section],
+    definitions: Iterable[tuple[str, str]],
+    more: Iterable[Picture] = (),
+) -> Page:
+    """Return the report of a store whose cases are variants of models, which its table has under a label."""
     models, criterion = results_of(dataset)
     return Page(
         answer=answer(models, criterion),
         table=[
-            {"model": (model.name, ""), **row_of(one, criterion)}
-            for model in models
-            for one in model.variants
+            {label: (model.name, ""), **row_of(one, criterion)} for model in models for one in model.variants
         ],
-        small_print=f"{_SMALL_PRINT} {checked(dataset)}{what_is_kept(dataset)}",
+        small_print=small_print + what_is_kept(dataset),
         overview=[
             picture(
                 "order",
@@ -88,15 +107,10 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
                 draw.errors_over_order(models, criterion),
                 "Left is cheaper, lower is better: the first variant below the dashed bound is small enough.",
             ),
-            picture(
-                "models",
-                "The models themselves",
-                draw.models_side_by_side(dataset, models),
-                "What the variants have to reproduce: the full models on one scale.",
-            ),
+            *more,
         ],
-        sections=[Section(model.name, list(_figures(dataset, model))) for model in models],
-        definitions=list(_DEFINITIONS),
+        sections=sections,
+        definitions=list(definitions),
         kind="variant",
         left_out=left_out(dataset, ["model", "variant"]),
     )

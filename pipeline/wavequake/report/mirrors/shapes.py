@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.report.figures import STYLE, WIDTH, curve_style, one_panel, stacked
+from wavequake.report.figures import STYLE, WIDTH, one_panel
 from wavequake.report.histories import has_all_instants
 from wavequake.report.mirrors.deformed_body import bodies
+from wavequake.report.mirrors.figures import beside_reference
 from wavequake.report.mirrors.variants import ModelResult, VariantResult, representatives
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number as shortened
@@ -24,7 +25,6 @@ from wavequake.workflows.mirrors.shapes import PAIR
 Array = NDArray[np.float64]
 
 _PIXELS, _COLUMNS, _ROWS = 72, 6, 4
-_FLOOR = 1e-9  # of a relative error in a figure
 
 
 def pictures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
@@ -115,30 +115,17 @@ def peak_wavefronts(dataset: xr.Dataset, shown: Sequence[VariantResult], referen
     return _mosaic(rows, labels, alike=True)
 
 
-@rc_context(STYLE)
 def node_history(
     dataset: xr.Dataset, excitation: str, shown: Sequence[VariantResult], reference: VariantResult
 ) -> Figure:
     """Draw the motion of a node, and its error as a share of the largest motion (Figs. 4.21b to 4.23)."""
-    figure, (above, below) = stacked()
-    time = dataset["time"].to_numpy() * 1e3
     motion = dataset["node_motion"].sel(excitation=excitation) * 1e6
     truth = motion.sel(case=reference.case).to_numpy()
-    above.plot(time, truth, color="#999999", linewidth=2.6)
+    moved = {one.variant: motion.sel(case=one.case).to_numpy() for one in shown}
     largest = max(float(np.abs(truth).max()), 1e-300)
-    for number, one in enumerate(shown):
-        style = curve_style(number)
-        moved = motion.sel(case=one.case).to_numpy()
-        above.plot(time, moved, **style)
-        off = np.maximum(np.abs(moved - truth) / largest, _FLOOR)
-        below.semilogy(time, off, label=one.variant, **style)
-    below.axhline(0.01, color="#444444", linewidth=0.8, linestyle=(0, (5, 2)))
-    above.set_ylabel("z (µm)")
-    above.set_title(f"{excitation}; gray: {reference.variant}; dashed: 1 %")
-    below.set_ylabel("error / largest z")
-    below.set_xlabel("time (ms)")
-    below.legend(fontsize=7, ncols=2)
-    return figure
+    curves = {name: (values, np.abs(values - truth) / largest) for name, values in moved.items()}
+    title = f"{excitation}; gray: {reference.variant}; dashed: 1 %"
+    return beside_reference(dataset, truth, curves, title, ("z (µm)", "error / largest z"), 0.01)
 
 
 def elastic_frequencies(one: xr.Dataset) -> Array:

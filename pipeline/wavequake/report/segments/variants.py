@@ -12,22 +12,17 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.store.store import read_manifest
 from wavequake.kernels.device.devices import choose_device
 from wavequake.report.figures import opd_map, segment_map
-from wavequake.report.histories import has_all_instants, what_is_kept
+from wavequake.report.histories import has_all_instants
 from wavequake.report.mirrors import figures as draw
 from wavequake.report.mirrors import report as mirrors
 from wavequake.report.mirrors.variants import ModelResult, VariantResult, representatives
 from wavequake.report.page import Page, Picture, Section, picture
-from wavequake.report.populations import left_out
 from wavequake.report.segments.detail import Detail
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.mirrors.segment_body import variant_of
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
 from wavequake.workflows.segments.mor import SHAKEN, at_rest, launches
-from wavequake.workflows.segments.mor_bench import (
-    chosen_segments,
-    model_of,
-    motions,
-    reduced,
-    study_of,
-)
+from wavequake.workflows.segments.mor_bench import chosen_segments, model_of, motions
 
 Array = NDArray[np.float64]
 
@@ -59,35 +54,13 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
     The wavefront of the reference at its worst instant is recomputed for the maps, and that of the variant
     that is recommended, less the reference's.
     """
-    models, criterion = mirrors.results_of(dataset)
+    models, _ = mirrors.results_of(dataset)
     study = read_manifest(store).study
-    return Page(
-        answer=mirrors.answer(models, criterion),
-        table=[
-            {"shaken": (model.name, ""), **mirrors.row_of(one, criterion)}
-            for model in models
-            for one in model.variants
-        ],
-        small_print=_SMALL_PRINT + what_is_kept(dataset),
-        overview=[
-            picture(
-                "order",
-                "Error of all variants over their order",
-                draw.errors_over_order(models, criterion),
-                "Left is cheaper, lower is better: the first variant below the dashed bound is small enough.",
-            )
-        ],
-        sections=[
-            Section("segment model", list(_segment_figures(dataset, models))),
-            *(
-                Section(model.name, list(_telescope_figures(dataset, model, study, device)))
-                for model in models
-            ),
-        ],
-        definitions=_DEFINITIONS,
-        kind="variant",
-        left_out=left_out(dataset, ["model", "variant"]),
-    )
+    sections = [
+        Section("segment model", list(_segment_figures(dataset, models))),
+        *(Section(model.name, list(_telescope_figures(dataset, model, study, device))) for model in models),
+    ]
+    return mirrors.page_of_variants(dataset, "shaken", _SMALL_PRINT, sections, _DEFINITIONS)
 
 
 def _segment_figures(dataset: xr.Dataset, models: list[ModelResult]) -> Iterable[Picture]:
@@ -161,7 +134,7 @@ def detail(
     bench, parts = model.bench, []
     alone = study.model_copy(update={"excitation": study.excitation[excitation : excitation + 1]})
     with threadpool_limits(1):
-        for variant in [model.reference, *([reduced(model, less.variant)] if less else [])]:
+        for variant in [model.reference, *([variant_of(model, less.variant)] if less else [])]:
             moved = motions(alone, model, variant, which.tolist())[0, instant]
             (launched,) = launches(bench, which, moved[None], choose_device(device_name))
             spot = np.stack([launched[2].x[0, :, 0], launched[2].y[0, :, 0]], axis=1)

@@ -23,11 +23,11 @@ from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report import uncertain
 from wavequake.report.answers import budget
 from wavequake.report.certificate import certificate
+from wavequake.report.figures import distributions
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out, nothing_known
-from wavequake.report.reduced_models import model_results, verdict
-from wavequake.report.reduced_models import pictures as model_pictures
+from wavequake.report.reduced_models import compared_models
 from wavequake.report.statistics import Quantile, quantile
 from wavequake.report.systems import figures as draw_figures
 from wavequake.report.systems import images as system_images
@@ -116,21 +116,20 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
     rows = [*_at_rest(dataset, bench)]
     frame = frame_of(dataset)
     rows += [_row(population, one, bench, frame) for population in found for one in population.fields]
-    parts, compared = parted_variance(dataset, bench), bench.study.reduction
+    parts = parted_variance(found) if bench.study.structure.uncertain is not None else []
     light = dataset.isel(wavelength=bench.system.primary_wavelength)
-    models = model_results(light, compared.variants) if compared is not None else []
-    largest = compared.largest if compared is not None else 0.0
+    verdict, models = compared_models(light, bench.study.reduction)
     return Page(
         answer=nothing_known(_failed(found, dataset))
         + answer(found, _sums(bench))
-        + verdict(models, largest)
+        + verdict
         + uncertain.sentence(parts)
         + "".join(f" {one}" for one in certificate(bench.study.optics.modal_tolerance_nm, dataset)),
         table=[{header: row[header] for header in headers} for row in rows],
         small_print=_SMALL_PRINT + _INTERVALS + _partial(found, bench) + what_is_kept(dataset),
         overview=[
             *_overview(found),
-            *model_pictures(models, largest),
+            *models,
             *uncertain.pictures(parts),
             *budget.pictures(store),
         ],
@@ -147,7 +146,7 @@ def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:
     if any(len(one.cases) for one in found):
         sets = {one.name: one.fields[0].sets for one in found if one.fields}
         what = _error(found)[1]
-        figure = draw_figures.distributions(_worst_fields(found), f"{what} of a case (nm), worst field", sets)
+        figure = distributions(_worst_fields(found), f"{what} of a case (nm), worst field", sets)
         yield picture(
             "distributions",
             f"Distribution of the {what} under all disturbances",
@@ -319,7 +318,7 @@ def _figures(
     errors = [getattr(one, which) for one in population.fields]
     fields = [one.field for one in population.fields]
     sets = {one.field: one.sets for one in population.fields}
-    figure = draw_figures.distributions(dict(zip(fields, errors, strict=True)), f"{label} (nm)", sets)
+    figure = distributions(dict(zip(fields, errors, strict=True)), f"{label} (nm)", sets)
     yield picture(
         f"{name}-wfe",
         f"Distribution of the {label} by field, {name}",

@@ -12,8 +12,16 @@ from wavequake.errors import UserError
 from wavequake.mechanics.assembly.arrays import Given, from_matrices, from_modes
 from wavequake.mechanics.assembly.beams import Tube, beam_frame
 from wavequake.mechanics.assembly.bodies import Body, Output, placed, rigid_body
-from wavequake.mechanics.mirrors.models import AnnularMirror, annular_mirror, circular_mirror
-from wavequake.mechanics.model import FiniteElementModel, ReducedModel, places, rigid_modes, shifts
+from wavequake.mechanics.mirrors.material import Material
+from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
+from wavequake.mechanics.model import (
+    FiniteElementModel,
+    RayleighDamping,
+    ReducedModel,
+    places,
+    rigid_modes,
+    shifts,
+)
 from wavequake.optics.shapes.fit import SurfaceFit, apply, separate_pose, surface_fit
 from wavequake.optics.shapes.shapes import Shape, ZernikeDeformation
 from wavequake.optics.systems.bodies import Body as OpticalBody
@@ -21,17 +29,15 @@ from wavequake.optics.systems.bodies import surface_index
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
-from wavequake.reduction.names import parse
-from wavequake.reduction.two_stage import covers, reduce_variants, reference
-from wavequake.workflows.bodies.mirrors import glass_side, material_of, mirror_behind
-from wavequake.workflows.bodies.sections import BodySection, ModesBodySection
+from wavequake.workflows.bodies.sections import BodySection, MirrorBodySection, ModesBodySection, SolidSection
+from wavequake.workflows.mirrors.compared_models import reduced_model
 from wavequake.workflows.mirrors.model_store import digest, kept_intermediate, kept_model
-from wavequake.workflows.mirrors.study import FULL
 
 Array = NDArray[np.float64]
 
 MM_PER_M = 1e3
 _SHIFTS = np.repeat([1.0 / MM_PER_M, 1.0], 3)
+_MOUNTS = 0.645  # of the radius: near where three points hold a thin disc with the least sag
 
 
 @dataclass(frozen=True)
@@ -188,7 +194,10 @@ def behind(
     one: BodySection, elastic: Elastic, variant: str, system: OpticalSystem, optical: OpticalBody | None
 ) -> Body:
     """Return a reduced model of an elastic body at its place behind its first surface."""
-    model = reference(elastic.stage) if variant == FULL else _variant(one.name, elastic, variant)
+    try:
+        model = reduced_model(elastic.stage, elastic.full, variant)
+    except UserError as error:
+        raise UserError(f"The body {one.name!r}: {error}") from None
     nodes = {str(number + 1): int(place) for number, place in enumerate(shifts(model))}
     turns = {str(number + 1): int(place) for number, place in enumerate(model.turns)}
     if optical is None:
@@ -245,14 +254,6 @@ def _seen_modes(
     return _outputs(one, fit, moved * MM_PER_M @ rotation, (rotation, _m(surface.position)), optical)
 
 
-def _variant(name: str, elastic: Elastic, variant: str) -> ReducedModel:
-    try:
-        whole = None if covers(elastic.stage, parse(variant)) else elastic.full()
-        return reduce_variants(elastic.stage, [variant], whole)[0]
-    except UserError as error:
-        raise UserError(f"The body {name!r}: {error}") from None
-
-
 def _fit(
     one: BodySection,
     model: ReducedModel,
@@ -273,3 +274,47 @@ def _fit(
         raise UserError(f"The body {one.name!r} behind {one.surfaces[0]!r}: {error}") from None
     rows = np.asarray(model.surface).reshape(-1, 3, model.order)[seen] * MM_PER_M
     return fit, rows.reshape(-1, model.order)
+
+
+def material_of(section: SolidSection) -> Material:
+    """Return what a body is made of."""
+    return Material(section.youngs_modulus_pa, section.poisson_ratio, section.density_kg_m3)
+
+
+def glass_side(system: OpticalSystem, index: int) -> float:
+    """Return 1 where the glass of a mirror, away from the light, is at +z of its surface, or -1."""
+    here = system.surfaces[index]
+    before = [np.asarray(one.position) for one in system.surfaces[:index]]
+    paths = [one for point in before if np.linalg.norm(one := here.position - point) > 1e-9]
+    light = paths[-1] if paths else np.array([0.0, 0.0, 1.0])
+    return 1.0 if float(here.rotation[:, 2] @ light) > 0.0 else -1.0
+
+
+def mirror_behind(
+    name: str, section: MirrorBodySection, system: OpticalSystem, index: int, facing: float
+) -> CircularMirror | AnnularMirror:
+    """Return the built-in mirror of a surface; `facing`: sign of its model's z axis in the surface's."""
+    surface = system.surfaces[index]
+    form = surface.deformation
+    assert isinstance(form, ZernikeDeformation)
+    diameter = section.diameter_m or 2.0 * form.pupil_radius / MM_PER_M
+    if diameter < 2.0 * form.pupil_radius / MM_PER_M * (1.0 - 1e-6):
+        raise UserError(
+            f"The mirror {name!r} has a diameter of {diameter:g} m, but light or the opening of "
+            f"{surface.name!r} reaches {2.0 * form.pupil_radius / MM_PER_M:g} m; make it larger."
+        )
+    radius = getattr(surface.shape, "radius", np.inf) / MM_PER_M
+    common = {
+        "diameter": diameter,
+        "thickness": section.thickness_m,
+        "focal_length": np.inf if section.shape == "plate" else facing * radius / 2.0,
+        "material": material_of(section),
+        "mount_radius": section.mount_radius_m or _MOUNTS * diameter / 2.0,
+        "mount_angles": tuple(facing * angle for angle in section.mount_angles_deg),
+        "damping": RayleighDamping(0.0, 0.0),
+        "rings": section.rings,
+    }
+    if section.shape == "annulus":
+        around = 6 * -(-8 * section.rings // 6)
+        return AnnularMirror(inner_diameter=section.inner_diameter_m, around=around, **common)  # type: ignore[arg-type]
+    return CircularMirror(core=section.rings, **common)  # type: ignore[arg-type]

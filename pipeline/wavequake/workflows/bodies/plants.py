@@ -17,7 +17,11 @@ from wavequake.optics.systems.system import OpticalSystem
 from wavequake.words import counted
 from wavequake.workflows.bodies.made import MM_PER_M, behind, elastic_body, given_body
 from wavequake.workflows.bodies.sections import BodySection, LinkSection, StructureSection
+from wavequake.workflows.disturbed_study import DisturbedStudy
 from wavequake.workflows.mirrors.study import FULL
+
+SEGMENT = "segment"
+"""What the elastic model that stands for all segments is called among bodies."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,28 @@ class Masses:
     structure: StructureSection
     compared: tuple[str, ...] = (FULL,)
     reduced: tuple[str, ...] = ()
+
+
+def masses_of(study: DisturbedStudy) -> Masses:
+    """Return what a study says of its bodies with mass."""
+    structure = study.structure or StructureSection()
+    reduced = tuple(name for name in reduced_names(study) if name != SEGMENT)
+    compared = study.compared if reduced else (FULL,)
+    return Masses(study.study.name, study.body, study.link, structure, compared, reduced)
+
+
+def reduced_names(study: DisturbedStudy) -> tuple[str, ...]:
+    """Return the bodies whose reduced models are compared, and "segment" where those of segments are.
+
+    Raises
+    ------
+    UserError
+        If the study names others.
+    """
+    if study.reduction is None:
+        return ()
+    elastic = elastic_names(study.body) + (SEGMENT,) * (getattr(study, "segment", None) is not None)
+    return compared_bodies(study.reduction.of, elastic)
 
 
 def deforming_terms(bodies: Sequence[BodySection], system: OpticalSystem) -> dict[int, int]:

@@ -1,4 +1,4 @@
-"""Bodies of a segmented telescope: which segments and mirrors they carry, and the plant that they make.
+"""What of a segmented telescope has mass: elastic segments, and bodies, what these carry, and their plant.
 
 The plant is that of the telescope's parent, a system of surfaces, whose M1 stands for the segments. What a
 body carries follows it, or one of its nodes, as a rigid body does.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.mechanics.assembly.plant import Plant
-from wavequake.mechanics.disturbances.layout import Carried
+from wavequake.mechanics.disturbances.layout import Carried, SegmentLayout
 from wavequake.optics.segments.kinematics import carried_segments
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.telescope import footprints
@@ -23,8 +23,17 @@ from wavequake.optics.systems.bodies import Body as OpticalBody
 from wavequake.optics.systems.bodies import rigid_body
 from wavequake.optics.systems.system import OpticalSystem, Surface
 from wavequake.workflows.bodies.made import MM_PER_M, transported
-from wavequake.workflows.bodies.plants import Masses, deforming_terms, plants_of
+from wavequake.workflows.bodies.plants import (
+    SEGMENT,
+    Masses,
+    deforming_terms,
+    plants_of,
+    reduced_names,
+)
 from wavequake.workflows.bodies.sections import BodySection, Held
+from wavequake.workflows.mirrors.segment_body import segment_plant
+from wavequake.workflows.mirrors.study import FULL
+from wavequake.workflows.segments.study import SegmentStudy
 
 Array = NDArray[np.float64]
 
@@ -206,3 +215,28 @@ def _follow(elements: Sequence[str], system: OpticalSystem, at_origin: Array) ->
         for name in elements
     ]
     return Carried(tuple(elements), np.array(rows).reshape(-1, 6, 6) @ at_origin)
+
+
+def with_bodies(layout: SegmentLayout, study: SegmentStudy, bodies: CarryingBodies) -> SegmentLayout:
+    """Return a layout with bodies, which disturbances can move by name."""
+    names = tuple(one.name for one in study.body)
+    return replace(
+        layout,
+        others=(*names, *(layout.others or ())),
+        plant=bodies.plants.get(FULL),
+        carried=bodies.carried,
+    )
+
+
+def elastic_segments(study: SegmentStudy, system: OpticalSystem) -> dict[str, Plant]:
+    """Return what stands for every segment of a study, by the models that it compares, if they are elastic.
+
+    Without a comparison the model that the study takes is called full.
+    """
+    section = study.segment
+    if section is None:
+        return {}
+    found = {FULL: segment_plant(section, system)}
+    for name in study.compared[1:] if SEGMENT in reduced_names(study) else ():
+        found[name] = segment_plant(section.model_copy(update={"reduced": name}), system)
+    return found

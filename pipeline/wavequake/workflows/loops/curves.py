@@ -36,6 +36,8 @@ _MARGINS = (
     ("gain_up", "1", "factor of the gain at which the loop is unstable, as these frequencies show it"),
     ("phase_margin", "deg", "phase that makes the loop unstable, as these frequencies show it"),
 )
+# Unit and meaning of what a store has of a loop in all kinds of studies.
+WORDS = {name: (units, words) for name, units, words in (*_GAINS, *_MARGINS)}
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.measured import Block, CaseTable, study_kind
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.linear import Array
@@ -29,7 +28,7 @@ from wavequake.mechanics.model import Integers
 from wavequake.mechanics.segment_control import SensingErrors, mode_interaction
 from wavequake.prepared import one_thread
 from wavequake.words import counted
-from wavequake.workflows.loops.curves import curve_axes, phases
+from wavequake.workflows.loops.curves import WORDS, curve_axes, phases
 from wavequake.workflows.loops.loop_margins import LoopMargins, Makers, StudyLoop, converted
 from wavequake.workflows.loops.segment_control_bench import (
     Bench,
@@ -53,10 +52,7 @@ def cases(study: SegmentControlStudy, ids: Integers) -> CaseTable:
 
 def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
     """Judge cases one by one."""
-    with threadpool_limits(1):
-        for row, realization in enumerate(table["realization"]):
-            found = _case(bench, int(realization), clock)
-            yield Block({name: np.array([value]) for name, value in found.items()}, np.array([row]))
+    return one_by_one(table["realization"], lambda realization: _case(bench, realization, clock))
 
 
 def _case(bench: Bench, realization: int, clock: Stopwatch) -> dict[str, float]:
@@ -114,107 +110,55 @@ def _taken(name: str, found: Mapping[str, Array]) -> Array:
     return found[name]
 
 
+# Of every nominal loop: the variable, where it is in a loop, its further dimension, unit and meaning.
+_OF_LOOPS = (
+    ("wind", "wind", (), "nm", "surface that is left of wind, rms"),
+    ("structure", "structure", (), "nm", "surface that is left of the structure's motion, rms"),
+    ("noise", "noise", (), "nm", "surface by sensor noise, rms"),
+    ("total", "total", (), "nm", "surface by all of them, rms"),
+    ("growth", "growth", (), "1/s", "largest real part of the poles"),
+    ("growth_hz", "growth_hz", (), "Hz", "frequency of that pole"),
+    ("sensitivity_peak", "peak", (), "1", "largest singular value of the sensitivity"),
+    ("peak_hz", "peak_hz", (), "Hz", "frequency of the largest sensitivity"),
+    ("peak_by_mode", "by_mode", ("structure_mode",), "1",
+     "largest sensitivity along each mode of the structure"),
+    ("sensitivity", "sensitivity", ("frequency",), "1", "largest singular value of the sensitivity"),
+    ("complementary", "complementary", ("frequency",), "1",
+     "largest singular value of the complementary sensitivity"),
+    ("left_psd", "shaken_density", ("frequency",), "nm^2/Hz", "surface that is left of wind and structure"),
+    ("noise_psd", "noise_density", ("frequency",), "nm^2/Hz", "surface by sensor noise"),
+)  # fmt: skip
+
+
 def fixed(bench: Bench) -> dict[str, Any]:
-    """Return the mirror's modes and, by bandwidth, what its nominal loop leaves."""
-    loops = bench.loops
+    """Return the mirror's modes and, by bandwidth, what its nominal loop leaves.
 
-    def by_bandwidth(key: str, units: str, words: str) -> tuple[Any, ...]:
-        return (
-            ("bandwidth",),
-            np.array([getattr(one, key) for one in loops]),
-            {"units": units, "long_name": words},
-        )
-
-    def words(text: str, units: str = "1") -> dict[str, str]:
-        return {"units": units, "long_name": text}
-
-    nan = float("nan")
-    return {
-        "open_wind": ((), bench.open_wind, words("surface by wind without a loop, rms", "nm")),
-        "open_structure": (
-            (),
-            bench.open_structure,
-            words("surface by the structure without a loop, rms", "nm"),
-        ),
-        "nominal_limit": (
-            (),
-            bench.limit_hz,
-            words("bandwidth from which on the nominal loop is unstable", "Hz"),
-        ),
-        "rigid_limit": ((), bench.limit_rigid_hz, words("the same on a structure that does not move", "Hz")),
-        "wind": by_bandwidth("wind", "nm", "surface that is left of wind, rms"),
-        "structure": by_bandwidth("structure", "nm", "surface that is left of the structure's motion, rms"),
-        "noise": by_bandwidth("noise", "nm", "surface by sensor noise, rms"),
-        "total": by_bandwidth("total", "nm", "surface by all of them, rms"),
-        "growth": by_bandwidth("growth", "1/s", "largest real part of the poles"),
-        "growth_hz": by_bandwidth("growth_hz", "Hz", "frequency of that pole"),
-        "sensitivity_peak": by_bandwidth("peak", "1", "largest singular value of the sensitivity"),
-        "peak_hz": by_bandwidth("peak_hz", "Hz", "frequency of the largest sensitivity"),
-        "peak_by_mode": (
-            ("bandwidth", "structure_mode"),
-            np.array([one.by_mode for one in loops]),
-            words("largest sensitivity along each mode of the structure"),
-        ),
-        "sensitivity": (
-            ("bandwidth", "frequency"),
-            np.array([one.sensitivity for one in loops]),
-            words("largest singular value of the sensitivity"),
-        ),
-        **_over_frequency(bench),
-        "singular": (
-            ("mirror_mode",),
-            bench.stroke_values,
-            words("reading per stroke of the actuators", "m/m"),
-        ),
-        "multiplier": (
-            ("mirror_mode",),
-            bench.modes.multipliers,
-            words("surface rms per rms of sensor noise"),
-        ),
-        "multiplier_all": (
-            (),
-            float(np.sqrt(np.sum(bench.modes.multipliers**2))),
-            words("of all modes together"),
-        ),
-        "multiplier_rest": (
-            (),
-            float(np.sqrt(np.sum(bench.modes.multipliers[1:] ** 2)))
-            if len(bench.modes.multipliers) > 1
-            else nan,
-            words("without the least seen mode"),
-        ),
+    Margins are those that the frequencies of the curves show.
+    """
+    loops, multipliers = bench.loops, bench.modes.multipliers
+    gains, rest = np.array([one.curve.gain for one in loops]), multipliers[1:]
+    over = ("bandwidth", "frequency")
+    found: dict[str, tuple[Any, ...]] = {
+        name: (("bandwidth", *dims), np.array([getattr(one, key) for one in loops]), units, words)
+        for name, key, dims, units, words in _OF_LOOPS
     }
-
-
-def _over_frequency(bench: Bench) -> dict[str, Any]:
-    """Return curves and spectra of the nominal loops, and margins as these frequencies show them."""
-    loops, hertz = bench.loops, ("bandwidth", "frequency")
-    gains = np.array([one.curve.gain for one in loops])
-    surface = "nm^2/Hz"
-    found = {
-        "loop_gain": (
-            (*hertz, "margin"), np.abs(gains), "1", "size of the loop gain's eigenvalue that has the margin"
-        ),
-        "loop_phase": ((*hertz, "margin"), phases(gains), "deg", "its phase"),
-        "complementary": (
-            hertz, np.array([one.complementary for one in loops]),
-            "1", "largest singular value of the complementary sensitivity",
-        ),
-        "gain_up": (
-            hertz[:1], np.array([one.curve.gain_up for one in loops]),
-            "1", "factor of the gain at which the loop is unstable, as these frequencies show it",
-        ),
+    found |= {
+        "open_wind": ((), bench.open_wind, "nm", "surface by wind without a loop, rms"),
+        "open_structure": ((), bench.open_structure, "nm", "surface by the structure without a loop, rms"),
+        "open_psd": (over[1:], bench.open_density, "nm^2/Hz", "surface by wind and structure without a loop"),
+        "nominal_limit": ((), bench.limit_hz, "Hz", "bandwidth from which on the nominal loop is unstable"),
+        "rigid_limit": ((), bench.limit_rigid_hz, "Hz", "the same on a structure that does not move"),
+        "loop_gain": ((*over, "margin"), np.abs(gains), *WORDS["loop_gain"]),
+        "loop_phase": ((*over, "margin"), phases(gains), *WORDS["loop_phase"]),
+        "gain_up": (over[:1], np.array([one.curve.gain_up for one in loops]), *WORDS["gain_up"]),
         "phase_margin": (
-            hertz[:1], np.degrees([one.curve.phase for one in loops]),
-            "deg", "phase that makes the loop unstable, as these frequencies show it",
+            over[:1], np.degrees([one.curve.phase for one in loops]), *WORDS["phase_margin"]
         ),
-        "open_psd": (hertz[1:], bench.open_density, surface, "surface by wind and structure without a loop"),
-        "left_psd": (
-            hertz, np.array([one.shaken_density for one in loops]),
-            surface, "surface that is left of wind and structure",
-        ),
-        "noise_psd": (
-            hertz, np.array([one.noise_density for one in loops]), surface, "surface by sensor noise"
+        "singular": (("mirror_mode",), bench.stroke_values, "m/m", "reading per stroke of the actuators"),
+        "multiplier": (("mirror_mode",), multipliers, "1", "surface rms per rms of sensor noise"),
+        "multiplier_all": ((), float(np.sqrt(np.sum(multipliers**2))), "1", "of all modes together"),
+        "multiplier_rest": (
+            (), float(np.sqrt(np.sum(rest**2))) if len(rest) else np.nan, "1", "without the least seen mode"
         ),
     }  # fmt: skip
     return {

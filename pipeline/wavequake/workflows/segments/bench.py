@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
@@ -36,8 +35,13 @@ from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
 from wavequake.prepared import prepared
-from wavequake.workflows.bodies.segments import CarryingBodies, carrying_bodies
-from wavequake.workflows.bodies.telescope import elastic_segments, masses_of, with_bodies
+from wavequake.workflows.bodies.plants import masses_of
+from wavequake.workflows.bodies.segments import (
+    CarryingBodies,
+    carrying_bodies,
+    elastic_segments,
+    with_bodies,
+)
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.study import SegmentStudy
 from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest
@@ -156,8 +160,7 @@ def bench_of(study_text: str) -> Bench:
         If no ray of the pupil meets glass, or none of a segment the image, polygons overlap, or the study is
         otherwise impossible.
     """
-    with threadpool_limits(1):
-        return _prepared(study_text)
+    return _prepared(study_text)
 
 
 def _prepared(study_text: str) -> Bench:

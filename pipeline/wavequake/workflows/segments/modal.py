@@ -11,8 +11,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE, ChunkResult
-from wavequake.campaign.one_by_one import unknown_arrays
+from wavequake.campaign.contract import DONE, ChunkResult, unknown_arrays
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.sampling import slots
 from wavequake.kernels.device.devices import choose_device
@@ -30,10 +29,11 @@ from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.optics.segments import modal
 from wavequake.optics.segments.modal import Forms, ModalModel
 from wavequake.optics.wavefronts.quality import meets_marechal
+from wavequake.workflows.disturbed_study import DisturbedStudy
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.draws import draw_realization, draw_realizations, sampling_plan
 from wavequake.workflows.segments.model import knows, model_of, motion_rows
-from wavequake.workflows.segments.template import ERRORS, computed
+from wavequake.workflows.segments.template import ERRORS, template
 
 Array = NDArray[np.float64]
 Cases = NDArray[np.int64]
@@ -66,7 +66,7 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
     bench, clock = bench_of(study_text), Stopwatch()
     study = bench.study
     model, device = model_of(study_text, device_name), choose_device(device_name)
-    numbers = {name: one for name, one in computed(study_text).items() if one.dtype != "int8"}
+    numbers = {name: one for name, one in template(study_text).per_case.items() if one.dtype != "int8"}
     arrays = unknown_arrays(numbers, len(cases))
     which, realizations = slots([entry.share for entry in study.disturbance], cases)
     for index, population in enumerate(study.disturbance):
@@ -78,10 +78,8 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
             with clock("modal"):
                 _record(bench, model, arrays, rows, instants_of(study.disturbance, population), found)
     status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
-    beyond = ~(arrays["modal_bound"] <= study.optics.modal_tolerance_nm)
-    certified = sampled(study.study.seed, cases, study.optics.modal_sample) & ~beyond
-    arrays["traced"] = np.where(beyond, TRACED, np.where(certified, CERTIFIED, MODAL)).astype(np.int8)
-    chosen = np.flatnonzero(beyond | certified)
+    arrays["traced"] = how = routes(study, cases, arrays["modal_bound"])
+    chosen = np.flatnonzero(how != MODAL)
     for first in range(0, len(chosen), _TRACED_AT_ONCE):
         group = chosen[first : first + _TRACED_AT_ONCE]
         full = trace(study_text, cases[group], device_name)
@@ -89,12 +87,20 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
             clock.seconds[name] = clock.seconds.get(name, 0.0) + seconds
         for k, row in enumerate(group):
             status[row], messages[row] = full.status[k], full.messages[k]
-            if beyond[row]:
+            if how[row] == TRACED:
                 for name in arrays.keys() & full.arrays.keys():
                     arrays[name][row] = full.arrays[name][k]
             else:
                 _compare(arrays, row, full, k)
     return ChunkResult(arrays, status, tuple(messages), clock.seconds)
+
+
+def routes(study: DisturbedStudy, cases: Cases | None, bounds: Array) -> NDArray[np.int8]:
+    """Return how cases are computed: MODAL, TRACED or, of those with ids, CERTIFIED."""
+    beyond, certified = ~(bounds <= study.optics.modal_tolerance_nm), np.zeros(len(bounds), np.bool_)
+    if cases is not None:
+        certified = sampled(study.study.seed, cases, study.optics.modal_sample)
+    return np.where(beyond, TRACED, np.where(certified, CERTIFIED, MODAL)).astype(np.int8)
 
 
 def sampled(seed: int, cases: Cases, share: float) -> NDArray[np.bool_]:
@@ -172,7 +178,11 @@ def _draw_pistons(
     for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(realizations) != 1) + 1):
         begin = int(realizations[run[0]])
         drawn = amplitudes_of_run(population, segments, bench.study.study.seed, begin, len(run), device)
-        motions[rows[run], first : first + segments] = drawn * moving
+        here = rows[run]
+        if here[-1] - here[0] == len(here) - 1:  # a tile after the other
+            np.multiply(drawn, moving, out=motions[here[0] : here[-1] + 1, first : first + segments])
+        else:
+            motions[here, first : first + segments] = drawn * moving
 
 
 def _separable(

@@ -18,12 +18,9 @@ from wavequake.chain.images.system import SystemImager
 from wavequake.chain.nodal import nodal_sources
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.trace.sequence import bends
-from wavequake.mechanics.disturbances.element_motion import (
-    ElementDisturbance,
-    ElementMotion,
-    draw_elements,
-)
-from wavequake.mechanics.disturbances.registry import instants_of
+from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
+from wavequake.mechanics.disturbances.motion import Motion
+from wavequake.mechanics.disturbances.registry import draw_case, instants_of
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.info import info
@@ -32,7 +29,7 @@ from wavequake.words import counted
 from wavequake.workflows.bodies.plants import standing
 from wavequake.workflows.disturbed_study import case_labels
 from wavequake.workflows.mirrors.study import FULL
-from wavequake.workflows.segments.modal import MODAL, TRACED
+from wavequake.workflows.segments.modal import MODAL, TRACED, routes
 from wavequake.workflows.systems.bench import (
     NM_PER_MM,
     SystemBench,
@@ -43,13 +40,12 @@ from wavequake.workflows.systems.bench import (
     system_bench,
     system_states,
 )
-from wavequake.workflows.systems.draws import draw, drawn_with, sampling_plan
+from wavequake.workflows.systems.draws import draw, drawn_with, errors_of, sampling_plan, slot_of
 from wavequake.workflows.systems.measure import See, measured_cases
 from wavequake.workflows.systems.measures import axes, fixed, measures
-from wavequake.workflows.systems.modal import certificate, model_of, routes
+from wavequake.workflows.systems.modal import certificate, model_of
 from wavequake.workflows.systems.streaks import places_between, places_of_rows, streaked_times
 from wavequake.workflows.systems.study import SystemStudy
-from wavequake.workflows.systems.variants import errors_of, slot_of
 
 Array = NDArray[np.float64]
 
@@ -74,7 +70,7 @@ def prepare(study: SystemStudy) -> SystemBench:
     if study.optics.light == "modal":
         model_of(bench.text, choose_device(study.campaign.device).name)
     for population in study.disturbance:
-        drawn = draw_elements(study.disturbance, population, study.study.seed, 0, layout=bench.layout)
+        drawn = draw_case(study.disturbance, population, bench.layout, study.study.seed, 0)
         moving(bench.system, system_states(bench, drawn))
     return bench
 
@@ -119,7 +115,7 @@ def _seen(bench: SystemBench, imager: SystemImager, case: int, exposures: Array)
 def _seen_cases(
     bench: SystemBench,
     cases: list[int] | None,
-    motions: list[tuple[Array, ElementMotion]],
+    motions: list[tuple[Array, Motion]],
     away: list[Array | None],
     device_name: str,
     clock: Stopwatch,
@@ -133,7 +129,7 @@ def _seen_cases(
         return measured_cases(bench, motions, device, clock, imager, away)
     model = model_of(bench.text, device_name)
     bounds = np.array([model.bound(drawn) for _, drawn in motions])
-    how = routes(study, cases, bounds)
+    how = routes(study, None if cases is None else np.array(cases), bounds)
 
     def chosen(rows: NDArray[np.intp], see: See | None) -> dict[int, tuple[dict[str, Array], str]]:
         found = measured_cases(

@@ -25,7 +25,7 @@ Direction = Annotated[tuple[float, float, float], Field(strict=False)]
 class ForceLine(BaseModel):
     """A sinusoidal force of fixed frequency and amplitude and of random phase."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     frequency_hz: float = Field(gt=0, le=1e6, description="of the sinusoid")
     force_n: float = Field(ge=0, description="amplitude of the sinusoid, in N")

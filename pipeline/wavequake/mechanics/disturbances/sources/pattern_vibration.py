@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 class PatternLine(BaseModel):
     """A line: an oscillator shaken by white noise, or a sinusoid of random phase."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     frequency_hz: float = Field(
         gt=0, le=1e6, description="resonance of the oscillator, or frequency of the sinusoid"

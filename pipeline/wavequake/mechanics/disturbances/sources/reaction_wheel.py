@@ -22,7 +22,7 @@ _KG_M, _KG_M2 = 1e-6, 1e-9
 class WheelHarmonic(BaseModel):
     """What a wheel does at a multiple of its speed W: coefficient times W^2."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     number: float = Field(gt=0, le=1000, description="times the speed; 1: imbalance")
     radial_g_mm: float = Field(default=0.0, ge=0, description="force across the axis, turning with the wheel")

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 class VibrationLine(BaseModel):
     """A sinusoid of fixed frequency and amplitude and of random phase."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     frequency_hz: float = Field(gt=0, le=1e6, description="of the sinusoid")
     amplitude: RigidSizes

@@ -27,7 +27,7 @@ _SETS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 class Line(BaseModel):
     """One line: an oscillator shaken by white noise, narrow-band Gaussian."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     frequency_hz: float = Field(
         gt=0, le=1e5, description="resonance of the oscillator, the middle of the line"
