@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import dask
 import psutil
 import pytest
 from distributed import Client, LocalCluster
@@ -15,7 +16,7 @@ from distributed.security import Security
 from test_local import until
 
 from wavequake.cluster.certificate import certificate_file, make_certificate, make_security
-from wavequake.cluster.local import local_cluster
+from wavequake.cluster.local import local_cluster, prepare_workers
 from wavequake.errors import UserError
 
 ATTACK = Path(__file__).with_name("attack.py")
@@ -68,9 +69,12 @@ class Gullible(Security):
     ids=["open", "gullible"],
 )
 def test_the_attack_succeeds_where_nobody_asks_for_certificates(tmp_path, security, ways):
-    with LocalCluster(
-        1, threads_per_worker=1, host="127.0.0.1", security=security, dashboard_address="127.0.0.1:0"
-    ) as cluster:
+    prepare_workers()  # a worker that is forked loads nothing
+    place = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
+    with (
+        dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}),
+        LocalCluster(1, threads_per_worker=1, security=security, **place) as cluster,
+    ):
         scheduler = cluster.scheduler
         parts = [scheduler.address, *scheduler.workers]
         where = [int(address.rpartition(":")[2]) for address in parts]

@@ -14,6 +14,7 @@ from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening
 from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.once import once_per_system
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 
@@ -214,3 +215,17 @@ def test_bad_fields_and_objects_are_refused():
         at = OpticalSystem("x", system.surfaces, 5, Pupil("stop", 3.0), object_distance=nowhere)
         with pytest.raises(UserError, match="object"):
             pupil_rays(at, np.zeros(2), 587e-6, X, Y)
+
+
+def test_what_is_asked_of_one_system_again_is_computed_once():
+    calls = []
+
+    @once_per_system
+    def made(system, key):
+        calls.append(key)
+        return object()
+
+    one, other = optical_system("double-gauss"), replace(optical_system("double-gauss"))
+    assert made(one, 1) is made(one, 1)
+    assert len({made(one, 1), made(one, 2), made(other, 1)}) == len(calls) == 3
+    assert made(one, [1]) is not made(one, [1])  # what cannot be a key is no mistake of its own

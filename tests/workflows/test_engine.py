@@ -8,6 +8,7 @@ import toy
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import ChunkResult, StudyKind
+from wavequake.campaign.engine import driver
 from wavequake.campaign.engine.chunks import BrokenWorkflowError
 from wavequake.campaign.engine.driver import run_campaign
 from wavequake.campaign.store.store import open_store, read_manifest
@@ -173,6 +174,17 @@ def test_a_scheduler_elsewhere_does_the_same(tmp_path, monkeypatch):
     assert len(toy.digests(tmp_path / "s")) == 4
     monkeypatch.setattr(places, "connected", lambda *arguments, **keywords: pytest.fail("not needed"))
     toy.run(tmp_path / "s", cases=35, on="tcp://nowhere:1")
+
+
+def test_workers_of_a_store_that_is_continued_are_forked_from_what_has_loaded_their_tasks(
+    tmp_path, monkeypatch
+):
+    asked = []
+    monkeypatch.setattr(driver, "prepare_workers", lambda *modules: asked.append(modules))
+    toy.run(tmp_path / "s", cases=10)
+    assert asked == []
+    assert toy.run(tmp_path / "s", cases=20, on="local", workers=1).computed == 10
+    assert asked == [("wavequake.campaign.engine.chunks", "toy")]
 
 
 def test_a_script_without_a_main_guard_is_told_so(tmp_path):

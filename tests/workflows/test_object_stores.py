@@ -19,6 +19,7 @@ import pytest
 import toy
 import xarray as xr
 
+from wavequake.campaign.engine import driver
 from wavequake.campaign.engine.chunks import computed_chunk, store_chunk
 from wavequake.campaign.store import lease, objects
 from wavequake.campaign.store.fence import ShutOutError
@@ -145,6 +146,13 @@ def test_what_is_lost_or_damaged_is_found_and_mended(path, tmp_path):
     identical(path, tmp_path / "s")
 
 
+def test_workers_are_forked_from_what_has_loaded_the_client_of_the_object_store(path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(driver, "prepare_workers", lambda *modules: asked.append(modules))
+    driver.begin_workers(toy.TOY, path, "local")
+    assert asked == [("wavequake.campaign.engine.chunks", "toy", "s3fs")]
+
+
 def test_a_run_that_cannot_start_leaves_nothing(path):
     with pytest.raises(UserError, match=r"tcp://127\.0\.0\.1:9"):
         toy.run(path, on="tcp://127.0.0.1:9")
@@ -216,7 +224,7 @@ def test_answers_that_are_lost_are_no_harm(path, tmp_path, monkeypatch):
     assert len(list((path / "done").glob("*.jsonl"))) == 2
 
 
-def driver(path, seconds, **keywords):
+def started(path, seconds, **keywords):
     """Start a campaign in a process of its own whose leases end soon."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     call = f"toy.run({str(path)!r}, {{'sleep_s': {seconds}}}, **{keywords!r})"
@@ -229,7 +237,7 @@ def test_four_writers_that_are_killed_lose_nothing(path, tmp_path):
     """Two of four workers, and then the driver with all others, at moments that a seed draws."""
     generator = random.Random(4)
     cases, seconds = 60, 0.02
-    running = driver(path, seconds, cases=cases, chunk=CHUNK, on="local", workers=4)
+    running = started(path, seconds, cases=cases, chunk=CHUNK, on="local", workers=4)
     wait_for_chunks(path, 2)
     workers = [one for one in psutil.Process(running.pid).children(recursive=True) if one.children() == []]
     for worker in generator.sample(workers, 2):
@@ -257,7 +265,7 @@ def wait_for_chunks(path, count):
 
 
 def test_shards_fill_a_store_together_at_the_same_time(path, tmp_path):
-    running = [driver(path, 0.02, cases=37, chunk=CHUNK, shard=f"{i}/3") for i in range(3)]
+    running = [started(path, 0.02, cases=37, chunk=CHUNK, shard=f"{i}/3") for i in range(3)]
     assert [one.wait(120) for one in running] == [0] * 3
     toy.run(tmp_path / "s", {"sleep_s": 0.02}, cases=37, chunk=CHUNK)
     identical(path, tmp_path / "s")

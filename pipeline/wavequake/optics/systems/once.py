@@ -37,4 +37,4 @@ def once_per_system(
         result: R = found[key]
         return result
 
-    return remembering
+    return remembering  # type: ignore[return-value]
