@@ -71,7 +71,7 @@ def of_cases(study: SegmentStudy, cases: int) -> float:
 
     def work() -> None:
         for first in range(0, cases, _CHUNK):
-            workflow.compute(text, np.arange(first, min(first + _CHUNK, cases)) + 1000, device)
+            workflow.KIND.compute(text, np.arange(first, min(first + _CHUNK, cases)) + 1000, device)
 
     return best(work, 3 if cases <= _CHUNK else 1)
 

@@ -111,8 +111,8 @@ def campaigns() -> Iterator[Row]:
     """Yield whether a case's bits depend on its chunk."""
     keys = ["telescope.name=tmt-18", "optics.rays_per_segment=18", "imaging.pixels=32"]
     text = load_study("tmt-segments", keys).identity_text()
-    together = segment_disturbance.compute(text, np.arange(3), "auto").arrays
-    alone = [segment_disturbance.compute(text, np.array([case]), "auto").arrays for case in range(3)]
+    together = segment_disturbance.KIND.compute(text, np.arange(3), "auto").arrays
+    alone = [segment_disturbance.KIND.compute(text, np.array([case]), "auto").arrays for case in range(3)]
     different = sum(
         int(np.count_nonzero(_bytes(values[case]) != _bytes(alone[case][name][0])))
         for name, values in together.items()

@@ -12,8 +12,9 @@ from wavequake.report.segments.report import detail
 def main(store: str, disturbance: str | None = None) -> None:
     """Write docs/summary.png."""
     dataset, manifest = open_store(store), read_manifest(store)
-    _, worst = representatives(dataset)[disturbance or str(dataset.disturbance.values[0])]
-    figure = summary_figure(detail(manifest.study, worst, manifest.device, dataset), populations(dataset))
+    found = populations(dataset)
+    _, worst = representatives(found)[disturbance or str(dataset.disturbance.values[0])]
+    figure = summary_figure(detail(manifest.study, worst, manifest.device, dataset), found)
     figure.savefig(Path(__file__).with_name("summary.png"), dpi=110)
 
 

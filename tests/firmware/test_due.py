@@ -53,10 +53,14 @@ def device(folder):
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_commands_are_those_of_the_host_bit_by_bit(folder, hit, compiler, variant):
+    """A step in floats, for which the processor has no unit, takes several times as long."""
+    steps = STEPS // 4 if variant == "float" else STEPS
+    adc, trigger = hit.adc[:steps], hit.trigger[:steps]
+    assert trigger[: steps // 4].any()
     gains = gains_of(REGULATOR, CHAIN, variant)
-    wanted = HostDevice(build("host", gains, folder)).run(hit.adc, hit.trigger)
+    wanted = HostDevice(build("host", gains, folder)).run(adc, trigger)
     due = DueDevice(build("due", gains, folder / compiler, prefer=compiler))
-    np.testing.assert_array_equal(due.run(hit.adc, hit.trigger), wanted)
+    np.testing.assert_array_equal(due.run(adc, trigger), wanted)
 
 
 @pytest.mark.parametrize("variant", ["q31", "q16"])

@@ -14,7 +14,7 @@ from wavequake.firmware import trial
 from wavequake.firmware.build import BOARDS, compiler_of, image_hash
 from wavequake.firmware.elf import segments_of
 from wavequake.firmware.gains import gains_of
-from wavequake.workflows.lens.bench import study_of
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.lens.experiment import chain_of, designs_of, run_cases
 from wavequake.workflows.study import load_study
 

@@ -10,9 +10,11 @@ from wavequake.imaging.engines.segment_psf import psf
 from wavequake.kernels.device import first_batch
 from wavequake.kernels.device.devices import Device, list_devices
 
-# Processors pose as GPUs.
-GPUS = [Device(device.name, "gpu", device.platform, 1) for device in list_devices() if device.kind != "numpy"]
-pytestmark = pytest.mark.parametrize("device", GPUS, ids=lambda device: device.name)
+# Processors are themselves, and pose as GPUs.
+OWN = [device for device in list_devices() if device.kind != "numpy"]
+GPUS = [Device(device.name, "gpu", device.platform, 1) for device in OWN]
+ALL = [*GPUS, *(device for device in OWN if device.kind == "cpu")]
+pytestmark = pytest.mark.parametrize("device", ALL, ids=lambda device: f"{device.kind}-{device.name}")
 RANDOM = np.random.default_rng(4)
 
 
@@ -57,6 +59,27 @@ def test_rays_have_pistons_alone(device):
     basis = ray_basis(x, y, RANDOM.uniform(0.5, 1.0, 300), 12, 0.3, 2.0, np.complex128)
     pistons = RANDOM.normal(0.0, 0.1, (2, 300))
     np.testing.assert_allclose(psf(basis, pistons, device=device), psf(basis, pistons), rtol=0, atol=1e-14)
+
+
+def test_lanes_compute_alone(tmt, device):
+    basis = segment_basis(tmt.corners, tmt.centers, 21, 0.25, tmt.diameter, 15)
+    phase = phases(tmt, 5, 0.3)
+    together = psf(basis, phase, 10.0, device)
+    alone = [psf(basis, one[None], 10.0, device)[0] for one in phase]
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_thousands_of_rays_keep_single_precision(device):
+    x, y = RANDOM.uniform(-1.0, 1.0, (2, 5000))
+    lit = np.hypot(x, y) < 1.0
+    pistons = (
+        RANDOM.normal(0.0, 0.05, (2, lit.sum())) + 1e3
+    )  # whole waves are left out before they are rounded
+    one, exact = (
+        ray_basis(x[lit], y[lit], np.ones(lit.sum()), 24, 0.3, 2.0, kind)
+        for kind in (np.complex64, np.complex128)
+    )
+    np.testing.assert_allclose(psf(one, pistons, device=device), psf(exact, pistons), rtol=0, atol=1e-6)
 
 
 def test_an_instant_without_numbers_spoils_no_other(flower, device):

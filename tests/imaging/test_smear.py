@@ -6,7 +6,13 @@ from scipy.special import j0, ndtri
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure_models import cut, full_exposure
-from wavequake.imaging.exposures.smear import add_smeared, empty_total, smear_canvas, smeared_image
+from wavequake.imaging.exposures.smear import (
+    Smeared,
+    add_smeared,
+    empty_total,
+    smear_canvas,
+    smeared_image,
+)
 
 SAMPLING = 0.25
 AXIS = (np.arange(48) - 24) * SAMPLING
@@ -22,7 +28,7 @@ def transfer(way):
     point[4, 4] = 1.0
     canvas = smear_canvas(9, way, SAMPLING)
     total = np.zeros((canvas, canvas // 2 + 1), dtype=complex)  # whatever the way: the transform is wanted
-    add_smeared(total, point[None], way[None], SAMPLING)
+    add_smeared(Smeared(canvas, total), point[None], way[None], SAMPLING)
     phase = np.exp(2j * np.pi * 4 * np.fft.fftfreq(canvas))
     return total * phase[:, None] * phase[: canvas // 2 + 1], np.fft.rfftfreq(canvas, SAMPLING)
 
@@ -57,20 +63,23 @@ def test_jitter_widens_a_gaussian_image():
     np.testing.assert_allclose(cut(smeared_image(total, way[None], 48, SAMPLING), 48), expected, atol=2e-4)
 
 
-@pytest.mark.parametrize("both", [True, False], ids=["both axes", "along x"])
-def test_ways_of_one_place_are_the_full_exposure_in_any_blocks(both):
+@pytest.mark.parametrize("frame", [0, 48, 31])
+@pytest.mark.parametrize("at_y", [None, 0.8, 0.0], ids=["both axes", "along x", "along x, in rows of pixels"])
+def test_ways_of_one_place_are_the_full_exposure_in_any_blocks(at_y, frame):
     random = np.random.default_rng(3)
     los = 2.0 * random.standard_normal((5, 2))
     images = np.array([gauss(sigma) for sigma in (0.5, 0.6, 0.7, 0.8, 0.9)])
-    los[:, 1] = los[:, 1] if both else 0.8
-    totals = [empty_total(48, los, SAMPLING) for _ in range(2)]
+    los[:, 1] = los[:, 1] if at_y is None else at_y
+    totals = [empty_total(48, los, SAMPLING, frame) for _ in range(2)]
     add_smeared(totals[0], images, los[:, None], SAMPLING)
     for part in (slice(0, 2), slice(2, 5)):
         add_smeared(totals[1], images[part], los[part, None], SAMPLING)
-    np.testing.assert_array_equal(*totals)
+    np.testing.assert_array_equal(*(one.total for one in totals))
     full = full_exposure([images], los, SAMPLING)
     np.testing.assert_allclose(
-        cut(smeared_image(totals[0], los[:, None], 48, SAMPLING), 48), cut(full, 48), atol=1e-10
+        cut(smeared_image(totals[0], los[:, None], 48, SAMPLING), frame or 48),
+        cut(full, frame or 48),
+        atol=1e-10,
     )
 
 

@@ -12,9 +12,8 @@ from pydantic import ValidationError
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import history_facts, history_table
-from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
-from wavequake.mechanics.disturbances.registry import Combine, instants_of
+from wavequake.mechanics.disturbances.registry import Combine, draw_case, instants_of
 from wavequake.mechanics.disturbances.sources.element_history import SurfaceHistory, history_of, read_table
 from wavequake.mechanics.disturbances.sources.surface_random import SurfaceDeformation, SurfaceRandom
 
@@ -74,11 +73,11 @@ def test_the_instants_are_the_rows_and_part_of_the_record():
 
 @pytest.mark.parametrize("realization", [0, 7])
 def test_every_case_is_the_table(realization):
-    drawn = draw_elements((SHAKE,), SHAKE, 1, realization)
+    drawn = draw_case((SHAKE,), SHAKE, NO_SEGMENTS, 1, realization)
     expected = history_of(SHAKE)
     np.testing.assert_array_equal(drawn.rigid["M1"], expected.rigid["M1"])
     np.testing.assert_array_equal(drawn.figure["M1"], expected.figure["M1"])
-    np.testing.assert_array_equal(drawn.sight, expected.sight)
+    np.testing.assert_array_equal(drawn.mount, expected.sight)
 
 
 def test_a_combination_has_the_instants_of_its_history():
@@ -88,14 +87,16 @@ def test_a_combination_has_the_instants_of_its_history():
         whole = Combine(name="all", of=of)
         populations = (SHAKE, askew, figure, whole)
         np.testing.assert_array_equal(instants_of(populations, whole), [0.5, 0.75])
-        drawn = draw_elements(populations, whole, 1, 3)
-        alone = {part.name: draw_elements(populations, part, 1, 3) for part in (SHAKE, askew, figure)}
+        drawn = draw_case(populations, whole, NO_SEGMENTS, 1, 3)
+        alone = {
+            part.name: draw_case(populations, part, NO_SEGMENTS, 1, 3) for part in (SHAKE, askew, figure)
+        }
         moved = alone["shake"].rigid["M1"] + alone["askew"].rigid["M1"][0]
         np.testing.assert_array_equal(drawn.rigid["M1"], moved)
         np.testing.assert_array_equal(drawn.figure["M1"][:, :5], alone["shake"].figure["M1"])
         np.testing.assert_array_equal(drawn.figure["M1"][:, 7], [alone["figure"].figure["M1"][7]] * 2)
         np.testing.assert_array_equal(drawn.figure["M2"], alone["figure"].figure["M2"])
-        np.testing.assert_array_equal(drawn.sight, alone["shake"].sight)
+        np.testing.assert_array_equal(drawn.mount, alone["shake"].mount)
     np.testing.assert_array_equal(history_of(SHAKE).figure["M1"][:, 0], 0.0)  # nobody wrote into it
 
 
@@ -106,13 +107,13 @@ def test_histories_are_added_at_the_same_instants_only():
         for name, at in (("one", time), ("two", 0.1 * np.arange(1, 51)))  # which differ by rounding
     )
     whole = Combine(name="all", of=("one", "two"))
-    drawn = draw_elements((one, other, whole), whole, 1, 0)
+    drawn = draw_case((one, other, whole), whole, NO_SEGMENTS, 1, 0)
     np.testing.assert_allclose(drawn.rigid["M"][:, 0], 2e-6 * np.arange(50.0), rtol=1e-15)
     whole = Combine(name="all", of=("one", "shake"))
     with pytest.raises(UserError, match=r"'shake' has 2 instants from 0.5 to 0.75 s, which are not .*'one'"):
-        draw_elements((one, SHAKE, whole), whole, 1, 0)
+        draw_case((one, SHAKE, whole), whole, NO_SEGMENTS, 1, 0)
     with pytest.raises(UserError, match="which are not those of what it is a part of"):
-        draw_elements((SHAKE,), SHAKE, 1, 0, time=np.array([0.5, 0.76]))
+        draw_case((SHAKE,), SHAKE, NO_SEGMENTS, 1, 0, time=np.array([0.5, 0.76]))
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import history_arrays, history_facts
-from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.mechanics.disturbances.history_arrays import read_arrays
 from wavequake.mechanics.disturbances.history_table import read_table
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
+from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.mechanics.disturbances.sources.element_history import SurfaceHistory
 
 TIME = np.array([0.5, 0.75, 2.0])
@@ -54,7 +54,7 @@ def test_grids_are_heights_in_m(spacing):
     grid = shake.figure_grids()["M1"]
     assert grid.spacing_mm == (2.0, np.ravel(spacing)[-1])
     assert shake.figure_terms(NO_SEGMENTS) == {}
-    drawn = draw_elements((shake,), shake, 1, 2)
+    drawn = draw_case((shake,), shake, NO_SEGMENTS, 1, 2)
     np.testing.assert_allclose(drawn.grid["M1"], 1e-9 * HEIGHTS, rtol=1e-15)
     assert SurfaceHistory.model_validate(shake.model_dump()) == shake
 

@@ -81,6 +81,7 @@ def test_what_calculix_leaves_out_or_passes_over(tmp_path):
         ("21, 22, 23, 24\n", "21, 22, 23\n", "block.inp, line 12: elements of 8 nodes expected"),
         ("BOTTOM, 21", "BOTOM, 21", "line 19: the node set 'BOTOM' is not defined before"),
         (" 14, 0, 1, 0", " 13, 0, 1, 0", "defines a node number twice"),
+        ("1, 11, 12, 13, 14", "1, 11, 12, 13, 15", "element 1 stands on node 15, which the file lacks"),
         (" 14, 0, 1, 0", " 14, 0, nan, 0", "node 14 has no finite coordinates"),
         ("top.inc", "bottom.inc", "bottom.inc cannot be read"),
     ],

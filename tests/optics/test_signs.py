@@ -52,7 +52,7 @@ def drawn(case_study, motion):
 def computed(case_study, motion, monkeypatch):
     """What the store gets of a case that draws `motion`."""
     monkeypatch.setattr(workflow, "_draw_all", lambda bench, cases: [drawn(case_study, motion)])
-    result = workflow.compute(case_study.identity_text(), np.array([0]), DEVICE)
+    result = workflow.KIND.compute(case_study.identity_text(), np.array([0]), DEVICE)
     assert result.status[0] == DONE, result.messages
     instants = slice(len(motion.mount))
     return {

@@ -60,7 +60,7 @@ def computed(case_study, monkeypatch, motion):
     """What the store gets of a case that draws `motion`."""
     drawn = workflow.CaseDraw(case_study.disturbance[0], 0, np.arange(1.0, 1.0 + len(motion.mount)), motion)
     monkeypatch.setattr(workflow, "_draw_all", lambda bench, cases: [drawn])
-    result = workflow.compute(case_study.identity_text(), np.array([0]), DEVICE)
+    result = workflow.KIND.compute(case_study.identity_text(), np.array([0]), DEVICE)
     assert result.status[0] == DONE, result.messages
     return {name: array[0] for name, array in result.arrays.items()}
 
@@ -203,7 +203,7 @@ def test_controllers_expose_the_light_that_a_mirror_leaves():
     v = np.maximum(np.hypot(axis, axis[:, None]), 1e-9)
     np.testing.assert_allclose(images["static"], (2 * j1(v) / v) ** 2, rtol=0, atol=1e-3)
     plain = study(1e-6, 8000, disturbance=[given])
-    other = workflow.compute(plain.identity_text(), np.array([0]), DEVICE).arrays
+    other = workflow.KIND.compute(plain.identity_text(), np.array([0]), DEVICE).arrays
     np.testing.assert_allclose(images["disturbed"], other["exposure"][0], rtol=0, atol=1e-3)
     row = controllers.index("disturbed")
     np.testing.assert_allclose(found.arrays["los"][0, row], other["los"][0], rtol=1e-9, atol=1e-9)

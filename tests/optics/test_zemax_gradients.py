@@ -304,6 +304,7 @@ def test_a_rod_that_is_not_known_is_refused(text, own, why):
     [
         ("", "holds no material"),
         ("A\n1\n2\n", "five lines"),
+        (RODS + RODS.lower(), "rods.dat, line 7: there is a rod test-rod before"),
         (RODS.replace("0.4", "1e200"), "rods.dat, line 4: '1e200' is no number of a rod"),
     ],
 )

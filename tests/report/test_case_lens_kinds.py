@@ -33,9 +33,8 @@ from wavequake.workflows.loops import telescope_bench
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.mirrors.bench import (
     aberrations_over_time,
-    any_study_of,
     cases_of,
-    trace_study_of,
+    study_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.bench import bench_of as mirror_bench
@@ -109,7 +108,7 @@ def test_a_mirrors_figure_is_that_of_the_excitation_with_what_polynomials_leave(
     """The file's light has the wavefront error that the store holds of every ray."""
     store = stored("mirror-trace-residual", tmp_path, 1)
     held, text = wq.open_store(store), read_manifest(store).study
-    pupil = mirror_bench(text, cases_of(trace_study_of(text))[0][0]).optics.prepared.pupil
+    pupil = mirror_bench(text, cases_of(study_of(text))[0][0]).optics.prepared.pupil
     for name in ("sine100", "sine300"):
         (file,) = export_case(store, tmp_path / f"{name}.zmx", 0, 12, under=name)
         again = wq.load_system(file)
@@ -197,7 +196,7 @@ def small(monkeypatch, workflow, name):
 def test_a_shaken_segments_model_is_one_file_for_each_segment(tmp_path, monkeypatch):
     """Rays of the files, beside those of the telescope at rest, are what the study sees less one plane."""
     text = small(monkeypatch, "segment-mor", "tmt-segment-mor")
-    study, prepared = mor_bench.study_of(text), mor_bench.model_of(text).bench.prepared
+    study, prepared = study_of(text), mor_bench.model_of(text).bench.prepared
     telescope, instant = prepared.system, 5
     case, (disturbed, _) = next(one for one in enumerate(mor.cases_of(study)) if one[1][0] == "all")
     monkeypatch.setattr(case_states, "_manifest", lambda store, case: case_states.read_manifest(store))
@@ -232,10 +231,10 @@ def test_mirrors_of_reduced_models_have_the_wavefront_of_their_stores(tmp_path, 
     """But for what is quadratic, which linear maps leave out: 4e-5 of 29 µm, 9e-6 of 11 µm."""
     for workflow, name in (("mirror-exposure", "mirror-exposure"), ("mirror-mor", "mirror-mor")):
         text = small(monkeypatch, workflow, name)
-        model, variant = cases_of(any_study_of(text))[1]
-        bench, excitation = mirror_bench(text, model), any_study_of(text).excitation[0].name
+        model, variant = cases_of(study_of(text))[1]
+        bench, excitation = mirror_bench(text, model), study_of(text).excitation[0].name
         rows = optical_rows(bench.optics, variant_of(bench, variant))
-        expected = aberrations_over_time(any_study_of(text), variant_of(bench, variant), rows)[0]
+        expected = aberrations_over_time(study_of(text), variant_of(bench, variant), rows)[0]
         instant = int(np.argmax(np.abs(expected[:, 5:]).max(axis=1)))
         (file,) = export_case(tmp_path, tmp_path / f"{name}.zmx", 1, instant, under=excitation)
         again, pupil = wq.load_system(file), bench.optics.prepared.pupil

@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from wavequake.report import figures
 from wavequake.report.exposures.figures import Panel, exposure_panels
 from wavequake.report.page import Picture, inline_svg
-from wavequake.report.populations import populations
+from wavequake.report.populations import histories_of, populations
 from wavequake.report.segments.detail import Bent
 
 
@@ -26,20 +26,30 @@ def pixels(figure, dpi=60):
     return imread(buffer)
 
 
-def all_figures(detail, found):
+def history(dataset, place):
+    population = populations(dataset)[place]
+    return figures.history(population, histories_of(dataset, population))
+
+
+def values(found, key):
+    return {one.name: getattr(one, key) for one in found if len(one.cases)}
+
+
+def all_figures(detail, campaign):
+    found = populations(campaign)
     return {
         "segments": figures.segment_map(detail),
         "opd": figures.opd_map(detail),
         "spot": figures.spot_diagram(detail),
         "psf": figures.psf_image(detail.image, detail.image_x, detail.image_y, detail.case),
-        "wfe": figures.distributions(found, "wfe"),
-        "strehl": figures.distributions(found, "strehl"),
-        "history": figures.history(found[0]),
+        "wfe": figures.distributions(values(found, "wfe_raw"), "nm"),
+        "strehl": figures.distributions(values(found, "strehl"), "Strehl", of_instants=True),
+        "history": history(campaign, 0),
     }
 
 
 def test_every_figure_has_ink_and_the_same_size(detail, campaign):
-    drawn = {name: pixels(figure) for name, figure in all_figures(detail, populations(campaign)).items()}
+    drawn = {name: pixels(figure) for name, figure in all_figures(detail, campaign).items()}
     assert len({picture.shape for picture in drawn.values()}) == 1
     for name, picture in drawn.items():
         assert np.mean(picture[..., :3].min(axis=2) < 0.97) > 0.02, name
@@ -48,7 +58,7 @@ def test_every_figure_has_ink_and_the_same_size(detail, campaign):
 def test_nothing_is_drawn_beyond_the_edge(detail, campaign):
     found = populations(campaign)
     for name, figure in {
-        **all_figures(detail, found),
+        **all_figures(detail, campaign),
         "summary": figures.summary_figure(detail, found),
     }.items():
         picture = pixels(figure)[..., :3]
@@ -186,7 +196,7 @@ def test_psf_is_log_scaled_over_five_decades(detail):
 
 
 def test_history_shows_the_median_and_the_worst_case(campaign):
-    panels = figures.history(populations(campaign)[0]).axes
+    panels = history(campaign, 0).axes
     median, worst = panels[0].lines
     assert (median.get_ydata() == 20.0).all()
     assert (worst.get_ydata() == 30.0).all()
@@ -194,23 +204,22 @@ def test_history_shows_the_median_and_the_worst_case(campaign):
 
 
 def test_line_of_sight_is_shown_about_the_mean_of_the_population(campaign):
-    panels = figures.history(populations(campaign)[1]).axes
+    panels = history(campaign, 1).axes
     assert sorted(panels[1].lines[line].get_ydata()[0] for line in (0, 1)) == [-3.0, 3.0]
 
 
 def test_distributions_leave_out_empty_populations_and_take_any_name(campaign):
     names = np.where(campaign["disturbance"] == "wind", "_w $\\frac{", campaign["disturbance"])
-    found = populations(campaign.assign_coords(disturbance=("case", names)))
-    figure = figures.distributions(found, "wfe")
+    named = campaign.assign_coords(disturbance=("case", names))
+    figure = figures.distributions(values(populations(named), "wfe_raw"), "nm")
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["_w \\$\\frac{ (3)", "shake (2)"]
     assert pixels(figure).size
-    assert pixels(figures.history(found[0])).size
+    assert pixels(history(named, 0)).size
 
 
 def test_no_case_at_all_still_draws(campaign):
-    empty = populations(campaign)[2:]
-    assert pixels(figures.distributions(empty, "strehl")).size
-    assert pixels(figures.history(empty[0])).size
+    assert pixels(figures.distributions({}, "Strehl", of_instants=True)).size
+    assert pixels(history(campaign, 2)).size
 
 
 def test_the_spot_diagram_shows_the_worst_instant_about_its_centroid(detail):

@@ -10,6 +10,7 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.report.page import _marked, render_page, write_page
+from wavequake.report.populations import populations
 from wavequake.report.segments.page import page_of
 
 LIMITS = {"shake": (5.1, "mas")}
@@ -17,7 +18,7 @@ VOID = {"meta", "br", "img", "link", "input", "hr"}
 
 
 def render_report(dataset, details, limits=None):
-    return render_page(dataset, page_of(dataset, details, limits))
+    return render_page(dataset, page_of(populations(dataset, limits), dataset, details))
 
 
 def write_report(dataset, details, path):

@@ -9,13 +9,14 @@ import xarray as xr
 from rich.console import Console
 
 import wavequake as wq
+from wavequake.report import populations as of_segments
 from wavequake.report.answers.comparison import compare
 from wavequake.report.campaign import report_store, summary_table
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.report.exports.store import export
-from wavequake.report.segments import reduced
+from wavequake.report.populations import is_whole
 from wavequake.report.segments import report as segment_report
-from wavequake.report.segments.report import is_reduced
+from wavequake.report.table import row_of
 from wavequake.report.written import read_answer
 from wavequake.workflows.study import load_study
 
@@ -40,6 +41,10 @@ def printed(store):
     return " ".join(buffer.getvalue().split())
 
 
+def report_rows(store):
+    return [row_of(one) for one in segment_report._populations(store, wq.open_store(store))]
+
+
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
     return made(tmp_path_factory.mktemp("store") / "summary")
@@ -47,11 +52,12 @@ def store(tmp_path_factory):
 
 def test_a_summary_has_the_numbers_of_the_arrays_over_time(store, tmp_path):
     whole = made(tmp_path / "whole", store__reduce="none")
-    (short,), (long,) = (reduced.reduced_populations(path, wq.open_store(path)) for path in (store, whole))
-    for name in ("wfe_raw", "wfe", "los", "segments"):
+    (short,), (long,) = (of_segments.populations(wq.open_store(path)) for path in (store, whole))
+    for name in ("wfe_raw", "wfe", "los", "segment_piston"):
         np.testing.assert_allclose(getattr(short, name), getattr(long, name), rtol=1e-12)
         assert getattr(short, name).shape == (CASES,)
-    assert short.segments_model == pytest.approx(np.sqrt(np.mean(short.segments**2)), rel=0.1)
+    (row,) = report_rows(store)
+    assert float(row["segments model (nm)"][0]) == pytest.approx(float(row["segments (nm)"][0]), rel=0.1)
 
 
 def test_a_store_of_too_many_instants_is_reported_case_by_case(tmp_path, monkeypatch):
@@ -59,9 +65,9 @@ def test_a_store_of_too_many_instants_is_reported_case_by_case(tmp_path, monkeyp
     study = load_study("tmt-segments", keys | {"telescope.name": "tmt-18"})
     wq.run(study, cases=8, store=tmp_path)
     dataset = wq.open_store(tmp_path)
-    assert not is_reduced(dataset)
-    monkeypatch.setattr(segment_report, "_MOST_INSTANTS", dataset["wfe_rms"].size - 1)
-    assert is_reduced(dataset)
+    assert is_whole(dataset)
+    monkeypatch.setattr(of_segments, "_MOST_INSTANTS", dataset["wfe_rms"].size - 1)
+    assert not is_whole(dataset)
     assert "P99.9" in printed(tmp_path)
     _, path = report_store(tmp_path)
     assert "wind-shake" in path.read_text()
@@ -82,7 +88,12 @@ def test_the_table_has_the_quantiles_and_the_certificate(store):
 def test_the_report_is_one_page_with_figures_and_definitions(store):
     text = report_store(store)[1].read_text()
     assert text.count("<svg") == 4  # one is the layout
-    for words in ("WFE on glass", "largest error of the modal model", "tilt removed", "swing: 95 % of its"):
+    for words in (
+        "WFE on glass",
+        "largest error of the modal model",
+        "tilt removed",
+        "swing: the wavefront error of 95 % of its",
+    ):
         assert words in text
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavequake.report.statistics import case_rms, distribution, jitter, quantile, quantile_ranks
+from wavequake.report.statistics import case_rms, distribution, jitter_of_cases, quantile, quantile_ranks
 
 
 def binomial_below(count, draws, probability):
@@ -121,6 +121,13 @@ def test_many_values_are_thinned_and_keep_their_ends():
     assert (curve.values[0], curve.values[-1]) == (0.0, 9999.0)
     np.testing.assert_allclose(curve.probability, (curve.values + 1) / 10_000)
     assert not len(distribution(np.array([])).values)
+
+
+def jitter(los, sets=None):
+    """Return the jitter of lines of sight (case, time, 2)."""
+    if not los.size:
+        return jitter_of_cases(np.empty((0, 2)), np.empty((0, 2)))
+    return jitter_of_cases(los.mean(axis=1), los.var(axis=1), sets)
 
 
 def test_case_rms_is_over_instants():

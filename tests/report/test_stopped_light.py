@@ -135,7 +135,7 @@ def test_a_budget_counts_the_cases_whose_motion_stops_light(tmp_path):
     assert heights_on_m2(path).max() == pytest.approx(251.5293, abs=1e-4)
     path.write_text(path.read_text().replace("piston_nm = 5.0", "tip_nrad = 1000.0\ntilt_nrad = 1000.0"))
     study = load_study(path, {"imaging.enabled": False})
-    counts = workflow.compute(study.identity_text(), np.arange(16), "numpy").arrays["vignetted"]
+    counts = workflow.KIND.compute(study.identity_text(), np.arange(16), "numpy").arrays["vignetted"]
     said_of_it = budget(study, 16).attrs["vignetted"]
     found = re.fullmatch(
         r"up to (\d+) of 48 do not arrive at an instant of (\d+) of 16 cases\. All numbers .*", said_of_it
@@ -166,11 +166,11 @@ def test_figured_segments_of_such_a_telescope_have_images(tmp_path):
     plain = load_study(study_file(tmp_path)).identity_text()
     figured = load_study(study_file(tmp_path, figure="figure_nm = { 4 = 0.0 }")).identity_text()
     cases = np.arange(2)
-    one, other = (workflow.compute(text, cases, "numpy") for text in (plain, figured))
+    one, other = (workflow.KIND.compute(text, cases, "numpy") for text in (plain, figured))
     assert (other.status == DONE).all()
     for name in ("exposure", "peak", "ee50", "ee80", "vignetted"):
         np.testing.assert_allclose(one.arrays[name], other.arrays[name], rtol=0, atol=1e-6)
-    alone = workflow.compute(figured, cases[1:], "numpy")
+    alone = workflow.KIND.compute(figured, cases[1:], "numpy")
     np.testing.assert_array_equal(alone.arrays["exposure"][0], other.arrays["exposure"][1])
 
 
@@ -208,7 +208,7 @@ def test_a_mirror_that_stops_all_light_is_named_with_its_opening(tmp_path, keys)
         match=r"No ray of segment a .* image: M2, whose semi-diameter is 1 mm, stops 24 of 24; .*"
         r"M2 stops 48 of 48 rays \(100 %\) at rest",
     ):
-        workflow.check(study.identity_text())
+        workflow.KIND.check(study.identity_text())
 
 
 def test_a_field_point_too_far_out_for_images_is_refused_where_light_is_stopped_too():
@@ -216,7 +216,7 @@ def test_a_field_point_too_far_out_for_images_is_refused_where_light_is_stopped_
     study = load_study("tmt-segments", keys)
     assert bench_of(study.identity_text()).stopped.vignetted
     with pytest.raises(UserError, match="too far from focus"):
-        workflow.check(study.identity_text())
+        workflow.KIND.check(study.identity_text())
 
 
 def test_words_for_several_mirrors_and_other_losses():

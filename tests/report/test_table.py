@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from wavequake.report.loops import telescope
-from wavequake.report.populations import populations, summarize
+from wavequake.report.populations import populations
 from wavequake.report.statistics import Quantile
-from wavequake.report.table import empty_table, interval, number, rows, share, terminal_table
+from wavequake.report.table import empty_table, interval, number, row_of, share, terminal_table
 from wavequake.terminal import in_blocks
 
 
@@ -56,7 +56,8 @@ def test_names_fold_and_numbers_stay_on_one_line():
 
 
 def test_rows_of_a_hand_made_campaign(campaign):
-    wind, shake, empty = rows([summarize(population, (5.1, "mas")) for population in populations(campaign)])
+    models = dict.fromkeys(("wind", "shake", "empty"), (5.1, "mas"))
+    wind, shake, empty = map(row_of, populations(campaign, models))
     assert wind["disturbance"] == ("wind", "")
     assert wind["cases"] == ("3", "1 quarantined")
     assert wind["WFE on glass P50 (nm)"] == ("20.0", "–")
@@ -81,7 +82,7 @@ def test_rows_of_a_hand_made_campaign(campaign):
 
 
 def test_a_model_in_nm_is_that_of_the_segments(campaign):
-    wind = rows([summarize(populations(campaign)[0], (5.4, "nm"))])[0]
+    wind = row_of(populations(campaign, {"wind": (5.4, "nm")})[0])
     assert wind["segments model (nm)"] == ("5.40", "")
     assert wind["LOS model (mas)"] == ("–", "")
 
@@ -91,7 +92,7 @@ def test_terminal_table_fits_80_columns_and_takes_names_as_they_are(campaign):
         disturbance=("case", np.array(["wind [bold]on-all-segments"] * 10, dtype=object))
     )
     console = Console(width=80, file=io.StringIO())
-    console.print(terminal_table(summarize(population) for population in populations(campaign)))
+    console.print(terminal_table(populations(campaign)))
     text = console.file.getvalue()
     assert "…" not in text
     assert "[bold]" in text.replace("\n", "")
@@ -100,7 +101,6 @@ def test_terminal_table_fits_80_columns_and_takes_names_as_they_are(campaign):
 
 def test_no_population_gives_an_empty_table():
     assert terminal_table([]).row_count == 0
-    assert rows([]) == []
 
 
 @pytest.mark.parametrize("width", [60, 80, 200])

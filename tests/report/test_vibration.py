@@ -20,8 +20,8 @@ from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.mechanics.disturbances.folded import folded_lines, has_spectrum
 from wavequake.report.answers.sensitivity import conclusion
 from wavequake.report.exposures.psf_figures import annulus, frame_mtf, image_row, perfect_mtf, polygons
+from wavequake.report.figures import distributions
 from wavequake.report.page import VIEWED, inline_svg
-from wavequake.report.systems.figures import distributions
 from wavequake.report.table import radius
 from wavequake.report.vibration import histories_and_spectra
 from wavequake.viewer.view import _MAKERS

@@ -82,7 +82,7 @@ def text(study):
 
 @pytest.fixture(scope="module")
 def chunk(text):
-    return disturbance.compute(text, np.arange(12), DEVICE)
+    return disturbance.KIND.compute(text, np.arange(12), DEVICE)
 
 
 def only_pistons(study):

@@ -9,7 +9,7 @@ from scipy.stats import binom, chi2, norm
 import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import ElementMotion
+from wavequake.mechanics.disturbances.motion import still
 from wavequake.optics.derivatives.central import DOFS
 from wavequake.report.answers.allow import allow_figure, allow_notes, asked_of
 from wavequake.workflows.allow import allowances
@@ -79,7 +79,7 @@ def test_shares_cost_alike_by_differences_of_full_traces(euv):
     for element, axis in ((0, "dx"), (2, "rx"), (5, "dz"), (1, "figure 7")):
         row, name = found.axes.index(axis), found.elements[element]
         sign, size = np.array([1.0, -1.0]), found.rms[row, element]
-        motion = ElementMotion({}, {}, np.zeros((2, 2)))
+        motion = still(2)
         if axis in DOFS:
             motion.rigid[name] = np.outer(sign, size * np.eye(6)[DOFS.index(axis)])
         else:

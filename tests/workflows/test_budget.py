@@ -7,8 +7,8 @@ from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import scaled, still
 from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.workflows.budgets.budget import budget, open_budget, stored_budget, summed
-from wavequake.workflows.budgets.elements import with_element
-from wavequake.workflows.budgets.segments import Factors, rings_of, variants
+from wavequake.workflows.budgets.elements import Factors, variants, with_element
+from wavequake.workflows.budgets.segments import rings_of
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study

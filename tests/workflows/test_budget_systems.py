@@ -7,11 +7,12 @@ import pytest
 
 from wavequake import cli
 from wavequake.chain.sampling import slot
-from wavequake.mechanics.disturbances.element_motion import draw_elements
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
+from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.report.answers.budget import budget_figure, explanations
 from wavequake.workflows.budgets.budget import budget, stored_budget, summed
-from wavequake.workflows.budgets.systems import variants
+from wavequake.workflows.budgets.elements import Factors, variants
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.bench import system_bench
 from wavequake.workflows.systems.disturbance import KIND
@@ -62,8 +63,10 @@ def found(study):
 
 def test_a_factor_is_taken_away_or_drawn_again_and_the_others_stay(study):
     sources = study.disturbance
-    one, other, only_fine, only_coarse, *rest = variants(summed(study, None), sources, 5, 3)
-    direct = [draw_elements(sources, entry, 5, 3).rigid["L1"] for entry in sources]
+    one, other, only_fine, only_coarse, *rest = variants(
+        summed(study, None), Factors(sources, surfaces=("L1", "L4")), NO_SEGMENTS, 5, 3
+    )
+    direct = [draw_case(sources, entry, NO_SEGMENTS, 5, 3).rigid["L1"] for entry in sources]
     np.testing.assert_array_equal(one.rigid["L1"], direct[0] + direct[1])
     np.testing.assert_array_equal(only_fine.rigid["L1"], direct[1])
     np.testing.assert_array_equal(only_coarse.rigid["L1"], direct[0])
@@ -84,7 +87,7 @@ def test_a_factor_is_taken_away_or_drawn_again_and_the_others_stay(study):
 def test_small_shifts_of_lenses_move_the_image_in_proportion(study, found):
     # Lenses move by c + f and by d along x: the image by a (c + f) + b d, with constant a, b.
     drawn = [
-        [draw_elements(study.disturbance, entry, 5, case) for entry in study.disturbance]
+        [draw_case(study.disturbance, entry, NO_SEGMENTS, 5, case) for entry in study.disturbance]
         for case in range(30)
     ]
     c, d, f = (

@@ -14,7 +14,8 @@ from wavequake.report.answers.budget import pictures, tables
 from wavequake.report.answers.budget_tree import tree_explanations, tree_figure, verdict
 from wavequake.workflows.asked_sections import BudgetSection
 from wavequake.workflows.budgets.budget import budget, plan_budget, stored_budget, summed
-from wavequake.workflows.budgets.segments import Factors, rings_of, variants
+from wavequake.workflows.budgets.elements import Factors, variants
+from wavequake.workflows.budgets.segments import rings_of
 from wavequake.workflows.budgets.tree import Branch, branches_of, rolled_up
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study, study_with

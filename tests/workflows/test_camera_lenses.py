@@ -84,7 +84,7 @@ def test_each_color_has_its_own_focus(camera):
 def test_a_lens_that_shifts_moves_the_image(camera):
     """By its shift times 1 - A, where A is how the height at the lens goes into that at the image."""
     bench = benches_of(camera.identity_text())[0]
-    result = workflow.compute(camera.identity_text(), np.arange(3), "numpy")
+    result = workflow.KIND.compute(camera.identity_text(), np.arange(3), "numpy")
     assert (result.status == DONE).all()
     share = 1.0 - through(550.0)[1][0, 0]
     for case in range(3):
@@ -97,7 +97,7 @@ def test_a_lens_that_shifts_moves_the_image(camera):
 
 def test_a_plane_window_that_shifts_does_nothing(camera):
     study = study_with(camera, {"disturbance.lens.of": ["cryostat"]})
-    result = workflow.compute(study.identity_text(), np.arange(2), "numpy")
+    result = workflow.KIND.compute(study.identity_text(), np.arange(2), "numpy")
     still = benches_of(study.identity_text())[0].static.rms[0] * 550.0
     np.testing.assert_allclose(result.arrays["wfe_rms"].reshape(2, -1, 2)[..., 0], still, rtol=1e-6)
     np.testing.assert_allclose(result.arrays["los"], 0.0, atol=1e-4)
@@ -111,7 +111,7 @@ def test_the_modal_model_knows_segments_before_lenses(camera, tmp_path):
         '[[disturbance]]\nname = "pistons"\nmodel = "static-random"\npiston_nm = 30.0\ntilt_nrad = 100.0\n'
     )
     (tmp_path / "modal.toml").write_text(text)
-    result = workflow.compute(load_study(tmp_path / "modal.toml").identity_text(), np.arange(4), "numpy")
+    result = workflow.KIND.compute(load_study(tmp_path / "modal.toml").identity_text(), np.arange(4), "numpy")
     assert (result.status == DONE).all()
     assert (result.arrays["traced"] == 1).all()
     assert 0.0 < result.arrays["modal_error_wfe_rms"].max() < 0.1
@@ -146,8 +146,8 @@ def test_sentences(camera, tmp_path):
         ({"disturbance.lens.of": ["lense"]}, "did you mean 'lens'"),
     ):
         with pytest.raises(UserError, match=words):
-            workflow.check(study_with(camera, keys).identity_text())
+            workflow.KIND.check(study_with(camera, keys).identity_text())
     text = CAMERA.replace("surface-random", "surface-deformation").replace("rms = { dx_um", "rms_nm = { 4")
     (tmp_path / "bent.toml").write_text(text)
     with pytest.raises(UserError, match=r"deforms 'lens' .* a body of several surfaces"):
-        workflow.check(load_study(tmp_path / "bent.toml").identity_text())
+        workflow.KIND.check(load_study(tmp_path / "bent.toml").identity_text())

@@ -73,7 +73,7 @@ def test_vignetted_rays_are_counted(newton, edge):
     expected = np.count_nonzero(np.hypot(rays.x, rays.y) > 2.0 * edge)
     assert (expected > 0) == (edge < 200.0)
     if not expected:
-        assert workflow.compute(text, np.array([0]), DEVICE).arrays["vignetted"] == [0.0]
+        assert workflow.KIND.compute(text, np.array([0]), DEVICE).arrays["vignetted"] == [0.0]
         return
     static = bench_of(text).static
     assert static.vignetted[0] == static.lost[0] == expected
@@ -81,7 +81,7 @@ def test_vignetted_rays_are_counted(newton, edge):
 
 def test_a_mirror_that_lets_nothing_pass_is_refused(newton):
     with pytest.raises(UserError, match=r"No ray of segment a .* reaches the image"):
-        workflow.check(with_edge(newton, 1.0).identity_text())
+        workflow.KIND.check(with_edge(newton, 1.0).identity_text())
 
 
 def test_distorted_corners_come_from_a_file_and_belong_to_the_study(tmp_path):
@@ -94,7 +94,7 @@ def test_distorted_corners_come_from_a_file_and_belong_to_the_study(tmp_path):
     (tmp_path / "corners.csv").unlink()
     change = bench_of(bent.identity_text()).layout.areas_m2 - bench_of(plain.identity_text()).layout.areas_m2
     assert np.flatnonzero(change).tolist() == [17]
-    result = workflow.compute(bent.identity_text(), np.array([0]), DEVICE)
+    result = workflow.KIND.compute(bent.identity_text(), np.array([0]), DEVICE)
     assert (result.status == DONE).all()
     monolith = {"telescope.name": "tmt-thesis", "telescope.gap_mm": None, "telescope.corners_csv": "x"}
     with pytest.raises(UserError, match="corners_csv belongs to the telescope tmt or tmt-18 or jwst"):
@@ -113,7 +113,9 @@ def test_a_number_of_rays_of_another_sampling_is_named(newton):
             "optics.rays_per_segment has no effect, as M1 is of one piece"
         ]
     given["optics.sampling"] = "segments"
-    assert "optics.rays has no effect" in next(workflow.notices(study_with(newton, given).identity_text()))
+    assert "optics.rays has no effect" in next(
+        workflow.KIND.notices(study_with(newton, given).identity_text())
+    )
     assert not list(study_with(newton, {"optics.rays": 2000}).unused_keys(one_piece=False))
 
 
@@ -125,7 +127,7 @@ def test_a_monolithic_mirror_runs_and_is_perfect_at_rest(tmp_path):
         )
     )
     text = load_study(path).identity_text()
-    result = workflow.compute(text, np.array([2]), DEVICE)
+    result = workflow.KIND.compute(text, np.array([2]), DEVICE)
     assert result.status[0] == DONE
     # Table 4.2 has 0.0368 waves of static defocus (rounded radii).
     assert result.arrays["wfe_rms"][0, 0] == pytest.approx(0.0368 * 550, rel=0.01)
@@ -137,12 +139,12 @@ def test_motions_that_edge_sensors_do_not_see_are_counted(newton, tmp_path):
     """Eight readings of four squares around a corner leave one of twelve unknowns, and three of the whole."""
     text = CUSTOM[: CUSTOM.index("model =")] + 'model = "edge-sensor-noise"\n'
     (tmp_path / "sensed.toml").write_text(text)
-    said = [*workflow.notices(load_study(tmp_path / "sensed.toml").identity_text())]
+    said = [*workflow.KIND.notices(load_study(tmp_path / "sensed.toml").identity_text())]
     assert said[1] == (
         "Besides piston, tip and tilt of the whole mirror, the sensors of pistons do not see 1 motion of its "
         "segments, which are not in its numbers"
     )
-    assert not any("sensors" in one for one in workflow.notices(newton.identity_text()))
+    assert not any("sensors" in one for one in workflow.KIND.notices(newton.identity_text()))
 
 
 @pytest.mark.parametrize(
@@ -163,7 +165,7 @@ def test_rays_that_are_too_few_for_a_figure_are_named(tmp_path, rays, term, reme
     text += f'[[disturbance]]\nname = "figures"\nmodel = "static-random"\nfigure_nm = {{ {term} = 1.0 }}\n'
     path.write_text(text)
     bench = bench_of(load_study(path).identity_text())
-    said = [one for one in workflow.notices(bench.text) if "too few for its figure" in one]
+    said = [one for one in workflow.KIND.notices(bench.text) if "too few for its figure" in one]
     assert [one.partition("; take ")[2] for one in said] == [remedy] * bool(remedy)
     segments, pupil = bench.system.segments, bench.prepared.rays
     corners = segments.corners[0] - segments.centers[0, :2]
@@ -187,7 +189,7 @@ def test_an_image_off_the_focus_is_told_with_its_place(newton, tmp_path):
     )
     words = r"image stands 50 mm beyond the paraxial focus, which is 5000 mm behind fold; mend a distance_mm"
     with pytest.raises(UserError, match=words):
-        workflow.check(load_study(tmp_path / "newton.toml").identity_text())
+        workflow.KIND.check(load_study(tmp_path / "newton.toml").identity_text())
 
 
 def with_image(study, distance):
@@ -201,7 +203,7 @@ def test_a_telescope_far_from_focus_is_refused_before_anything_is_prepared(newto
         r"by 4\d\d waves rms.: image stands 500 mm beyond the paraxial focus, which is 5000 mm behind fold"
     )
     with pytest.raises(UserError, match=words):
-        workflow.check(with_image(newton, 5500.0).identity_text())
+        workflow.KIND.check(with_image(newton, 5500.0).identity_text())
 
 
 def test_a_wrong_conic_is_told_from_a_wrong_distance(newton, monkeypatch, tmp_path):
@@ -215,7 +217,7 @@ def test_a_wrong_conic_is_told_from_a_wrong_distance(newton, monkeypatch, tmp_pa
             else r"waves rms.: light along the axis has no common focus; mend a conic"
         )
         with pytest.raises(UserError, match=words):
-            workflow.check(study.identity_text())
+            workflow.KIND.check(study.identity_text())
 
 
 def test_a_sphere_has_the_aberration_of_the_textbook(newton):

@@ -16,11 +16,12 @@ from wavequake.report.answers.accuracy import plan_accuracy
 from wavequake.report.answers.errors import spread_ids, store_errors
 from wavequake.report.answers.errors_shown import errors_notes
 from wavequake.workflows.allow import allowances
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.mirrors.segment_body import build_segment, hexagon_of, motion_rows
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.disturbance import compute, draw
+from wavequake.workflows.segments.disturbance import KIND, draw
 from wavequake.workflows.segments.mor import traced
-from wavequake.workflows.segments.mor_bench import model_of, study_of
+from wavequake.workflows.segments.mor_bench import model_of
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
@@ -123,7 +124,7 @@ def test_one_shaken_segment_is_that_of_segment_mor(tmp_path):
     assert abs(phase) == pytest.approx(1.0, rel=1e-9)
     np.testing.assert_allclose(found, phase * expected, rtol=0, atol=1e-9 * np.abs(expected[6:]).max())
     seen = traced(study_of(text), model.bench, "one", motion[None, :, None], choose_device("numpy"))
-    result = compute(study.identity_text(), np.array([0]), "numpy")
+    result = KIND.compute(study.identity_text(), np.array([0]), "numpy")
     change = result.arrays["zernike"][0] - bench.static.zernike[0] * 550.0
     expected = seen["wfe_zernike"][0]
     np.testing.assert_allclose(np.linalg.norm(change[:, 3:], axis=1), expected, rtol=1e-9, atol=1e-9)
@@ -147,7 +148,9 @@ def test_stiff_segments_have_the_numbers_of_rigid_ones(tmp_path):
     table = np.column_stack([case.time, moved.reshape(16, -1) * 1e6])
     np.savetxt(tmp_path / "moved.csv", table, delimiter=",", header="time_s," + header, comments="")
     rigid = loaded(tmp_path, '[[disturbance]]\nname = "given"\nmodel = "surface-history"\nfile = "moved.csv"')
-    one, two = (compute(study.identity_text(), np.array([0]), "numpy").arrays for study in (stiff, rigid))
+    one, two = (
+        KIND.compute(study.identity_text(), np.array([0]), "numpy").arrays for study in (stiff, rigid)
+    )
     for name in ("wfe_rms", "wfe_rms_raw", "los", "strehl", "segment_piston_rms"):
         np.testing.assert_allclose(one[name], two[name], rtol=0, atol=1e-5 * np.abs(two[name]).max())
 
@@ -163,7 +166,7 @@ def test_a_cell_that_moves_slowly_as_one_carries_all_segments_along(tmp_path):
         case.motion.segment_motion, expected, rtol=0, atol=1e-6 * np.abs(expected).max()
     )
     assert np.abs(case.motion.segment_figure).max() < 1e-6 * np.abs(expected).max()
-    los = compute(study.identity_text(), np.array([0]), "numpy").arrays["los"][0]
+    los = KIND.compute(study.identity_text(), np.array([0]), "numpy").arrays["los"][0]
     angle = np.abs(turn[:, 0]).max() * 180.0 / np.pi * 3600e3
     # Its coma, of an f/1 mirror, takes 1.4 % of the fitted tilt.
     assert np.linalg.norm(los, axis=1).max() == pytest.approx(2.0 * angle, rel=2e-2)

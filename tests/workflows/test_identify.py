@@ -12,7 +12,8 @@ import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import ElementMotion, draw_elements
+from wavequake.mechanics.disturbances.motion import still
+from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.mechanics.telemetry.line import Line
 from wavequake.mechanics.telemetry.record import record_of
 from wavequake.workflows.identify.explain import MeasuredMode
@@ -59,7 +60,7 @@ def traced(study, motions):
     """Return the change of the signals (n, 7) by motions of surfaces (n, 6) in m and rad, by full traces."""
     bench = system_bench(load_study(study).identity_text())
     count = len(next(iter(motions.values())))
-    moved = ElementMotion(motions, {}, np.zeros((count, 2)))
+    moved = still(count, rigid=motions)
     rest = bench.static[0][0].zernike[0] * 550.0
     ((numbers, trouble),) = measured_cases(bench, [(np.arange(count) * STEP, moved)], NUMPY, Stopwatch())
     assert not trouble
@@ -111,8 +112,8 @@ def test_what_is_written_runs_and_does_what_was_measured(study, shaken, tmp_path
     bench = system_bench(loaded.identity_text())
     together, covariance = loaded.disturbance[-1], np.zeros((4, 4))
     for realization in range(60):
-        drawn = draw_elements(
-            loaded.disturbance, together, 0, realization, time=np.arange(16) * 0.77, layout=bench.layout
+        drawn = draw_case(
+            loaded.disturbance, together, bench.layout, 0, realization, time=np.arange(16) * 0.77
         )
         values = traced(path, drawn.rigid)[:, 3:]
         covariance += values.T @ values / (16 * 60)

@@ -15,7 +15,7 @@ from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.reduction.intermediate import intermediate
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.mirrors.imported_facts import facts, frequencies, hull_volume, total_mass
-from wavequake.workflows.mirrors.trace import template
+from wavequake.workflows.mirrors.trace import KIND
 from wavequake.workflows.planning.plan import plan
 from wavequake.workflows.study import load_study
 
@@ -121,10 +121,10 @@ def test_the_plan_and_the_store_say_what_was_imported():
     note = plan(study)["note"]
     assert "81 nodes, 243 degrees of freedom, 1000 x 1000 x 20 mm, 42.31 kg (units m,kg,s,N)" in note
     assert "6 rigid motions, then 106.3, 106.3, 184" in note
-    dims, kept, _ = template(study.identity_text()).fixed["import_notice"]
+    dims, kept, _ = KIND.template(study.identity_text()).fixed["import_notice"]
     assert dims == ("import_notice",)
     assert "\n".join(kept) == note
-    assert "import_notice" not in template(load_study("mirror-trace", {}).identity_text()).fixed
+    assert "import_notice" not in KIND.template(load_study("mirror-trace", {}).identity_text()).fixed
 
 
 def test_a_run_in_wrong_units_warns_before_it_starts(tmp_path, monkeypatch, capsys):

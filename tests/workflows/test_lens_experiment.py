@@ -8,7 +8,7 @@ from wavequake.control.bench import bench_modes, fitted_bench
 from wavequake.control.experiment import CONTROLLERS
 from wavequake.errors import UserError
 from wavequake.workflows.lens import experiment as lens_experiment
-from wavequake.workflows.lens.experiment import KIND, case_table, compute, template
+from wavequake.workflows.lens.experiment import KIND
 from wavequake.workflows.run import chunk_of, run
 from wavequake.workflows.study import load_study
 
@@ -18,7 +18,7 @@ TEXT = load_study("lens-experiment", SHORT).identity_text()
 
 @pytest.fixture(scope="module")
 def chunk():
-    return compute(TEXT, np.arange(4), "numpy")
+    return KIND.compute(TEXT, np.arange(4), "numpy")
 
 
 def test_chunks_are_those_of_any_workflow():
@@ -28,7 +28,7 @@ def test_chunks_are_those_of_any_workflow():
 
 
 def test_cases_are_paired_between_springs(chunk):
-    table = case_table(TEXT, 0, 4)
+    table = KIND.case_table(TEXT, 0, 4)
     assert list(table["springs"]) == ["initial", "changed"] * 2
     assert list(table["realization"]) == [0, 0, 1, 1]
     frequency = chunk.arrays["true_frequency"]
@@ -46,7 +46,7 @@ def test_stored_numbers_belong_together(chunk):
     np.testing.assert_allclose(
         arrays["peak_to_peak"], 100 * np.ptp(image, axis=2) / np.ptp(image[:, :1], axis=2), rtol=1e-5
     )
-    late = template(TEXT).fixed["time"][1] > 1.0
+    late = KIND.template(TEXT).fixed["time"][1] > 1.0
     np.testing.assert_allclose(arrays["deviation_mm"], image[..., late].std(axis=2), rtol=1e-4)
     assert np.abs(arrays["identified_frequency"] / arrays["true_frequency"] - 1).max() < 0.2
 
@@ -61,7 +61,7 @@ def test_a_plant_that_fails_is_quarantined_alone(monkeypatch):
 
     monkeypatch.setattr(lens_experiment, "run_cases", failing)
     text = load_study("lens-experiment", [*SHORT, "bench.springs=['initial']"]).identity_text()
-    found = compute(text, np.arange(2), "numpy")
+    found = KIND.compute(text, np.arange(2), "numpy")
     assert list(found.status) == [DONE, RAISED]
     assert found.messages == ("", "The identification failed.")
     assert np.isnan(found.arrays["image"][1]).all()
@@ -117,7 +117,7 @@ def test_the_plan_names_modes_and_delay():
 
 def test_the_identified_regulator_keeps_its_target_on_every_plant():
     """5 % of range and deviation with all errors of the bundled study; of 1000 plants, the worst has 4.8."""
-    arrays = compute(load_study("lens-experiment").identity_text(), np.arange(32), "numpy").arrays
+    arrays = KIND.compute(load_study("lens-experiment").identity_text(), np.arange(32), "numpy").arrays
     place = CONTROLLERS.index("identified")
     worst = [arrays[name][:, place].max() for name in ("peak_to_peak", "deviation")]
     assert max(worst) <= 5.0

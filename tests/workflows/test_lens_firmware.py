@@ -12,14 +12,7 @@ from wavequake.errors import UserError
 from wavequake.firmware import kept
 from wavequake.firmware.build import BOARDS, compiler_of, image_hash
 from wavequake.firmware.gains import gains_of
-from wavequake.workflows.lens.experiment import (
-    KIND,
-    chain_of,
-    compute,
-    designs_of,
-    study_of,
-    template,
-)
+from wavequake.workflows.lens.experiment import KIND, chain_of, designs_of, study_of
 from wavequake.workflows.run import run
 from wavequake.workflows.study import load_study
 
@@ -43,18 +36,18 @@ def cache(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def chunk():
-    return compute(TEXT, np.arange(4), "numpy")
+    return KIND.compute(TEXT, np.arange(4), "numpy")
 
 
 def test_bits_of_a_case_do_not_depend_on_its_chunk(chunk):
-    alone = compute(TEXT, np.array([3]), "numpy")
-    assert set(alone.arrays) == set(template(TEXT).per_case)
+    alone = KIND.compute(TEXT, np.array([3]), "numpy")
+    assert set(alone.arrays) == set(KIND.template(TEXT).per_case)
     for name, values in alone.arrays.items():
         np.testing.assert_array_equal(values[0], chunk.arrays[name][3], err_msg=name)
 
 
 def test_firmware_changes_nothing_of_the_other_controllers(chunk):
-    without = compute(load_study("lens-experiment", SHORT).identity_text(), np.arange(4), "numpy")
+    without = KIND.compute(load_study("lens-experiment", SHORT).identity_text(), np.arange(4), "numpy")
     assert "firmware_hash" not in without.arrays
     np.testing.assert_array_equal(chunk.arrays["image"][:, : len(CONTROLLERS)], without.arrays["image"])
 
@@ -91,7 +84,7 @@ def test_each_arithmetic_does_what_double_precision_does(chunk):
 
 def test_identified_plants_run_images_of_their_own():
     more = ["firmware.design='identified'", "firmware.arithmetic=['q16']", "bench.springs=['initial']"]
-    found = compute(load_study("lens-firmware", [*SHORT, *more]).identity_text(), np.arange(2), "numpy")
+    found = KIND.compute(load_study("lens-firmware", [*SHORT, *more]).identity_text(), np.arange(2), "numpy")
     assert len(set(found.arrays["firmware_hash"].ravel())) == 2
     exact = CONTROLLERS.index("identified")
     assert np.abs(found.arrays["peak_to_peak"][:, -1] - found.arrays["peak_to_peak"][:, exact]).max() < 0.2
@@ -125,7 +118,7 @@ def test_a_plant_whose_gains_are_out_of_range_is_quarantined_alone(monkeypatch):
     monkeypatch.setattr(units, "gains_of", failing)
     one = ["firmware.arithmetic=['q31']", "bench.springs=['initial']"]
     text = load_study("lens-firmware", [*SHORT, *one]).identity_text()
-    found = compute(text, np.arange(2), "numpy")
+    found = KIND.compute(text, np.arange(2), "numpy")
     assert list(found.status) == [DONE, RAISED]
     assert "beyond the range" in found.messages[1]
     assert list(found.arrays["firmware_hash"][:, 0] == 0) == [False, True]

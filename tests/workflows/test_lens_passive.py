@@ -8,26 +8,26 @@ from wavequake.control.passive import objective
 from wavequake.errors import UserError
 from wavequake.report.lens import passive as report
 from wavequake.report.page import render_page
-from wavequake.workflows.lens.passive import compute, start_of, study_of
+from wavequake.workflows.lens.passive import KIND, start_of
 from wavequake.workflows.run import run
 from wavequake.workflows.study import load_study
 
-TEXT = load_study("lens-passive", ["passive.iterations=5"]).identity_text()
+STUDY = load_study("lens-passive", ["passive.iterations=5"])
+TEXT = STUDY.identity_text()
 
 
 def test_bits_do_not_depend_on_the_chunk():
-    together, alone = compute(TEXT, np.arange(3), "numpy"), compute(TEXT, np.array([2]), "numpy")
+    together, alone = KIND.compute(TEXT, np.arange(3), "numpy"), KIND.compute(TEXT, np.array([2]), "numpy")
     for name, values in alone.arrays.items():
         np.testing.assert_array_equal(values[0], together.arrays[name][2])
     assert (together.arrays["amplitude_sum"] < 1e3 * objective(fitted_bench(active=False))).any()
 
 
 def test_the_first_start_is_the_present_bench_and_others_differ():
-    study = study_of(TEXT)
-    assert not start_of(study, 0).any()
-    assert len(start_of(study, 1)) == 29
-    assert (start_of(study, 1) != start_of(study, 2)).all()
-    springs = study_of(load_study("lens-passive", ["passive.inertias=false"]).identity_text())
+    assert not start_of(STUDY, 0).any()
+    assert len(start_of(STUDY, 1)) == 29
+    assert (start_of(STUDY, 1) != start_of(STUDY, 2)).all()
+    springs = load_study("lens-passive", ["passive.inertias=false"])
     assert len(start_of(springs, 1)) == 17
 
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("mirror_models")
 
 def _traced(variants, keys=None):
     study = load_study("mirror-trace", TRACE | {"reduction.variants": variants} | (keys or {}))
-    result = mirror_trace.compute(study.identity_text(), np.arange(len(variants)), "auto")
+    result = mirror_trace.KIND.compute(study.identity_text(), np.arange(len(variants)), "auto")
     assert list(result.status) == [1] * len(variants), result.messages
     return result.arrays
 
@@ -87,7 +87,7 @@ def test_a_motion_that_strains_the_mounts_is_refused_before_the_run(tmp_path, mo
 def test_orders_above_the_model_are_refused_before_the_run(variant, words):
     study = load_study("mirror-trace", TRACE | {"reduction.variants": ["craigb18", variant]})
     with pytest.raises(UserError, match=words):
-        mirror_trace.check(study.identity_text())
+        mirror_trace.KIND.check(study.identity_text())
 
 
 def test_other_variants_and_forces_are_left_alone():

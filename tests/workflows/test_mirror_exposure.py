@@ -24,13 +24,7 @@ from wavequake.report.page import render_page
 from wavequake.viewer import animate as animation
 from wavequake.viewer.animate import animate
 from wavequake.workflows.exposures import mirror_exposure
-from wavequake.workflows.exposures.mirror_exposure import (
-    KIND,
-    aberrations_of,
-    compute,
-    exposed_instants,
-    template,
-)
+from wavequake.workflows.exposures.mirror_exposure import KIND, aberrations_of, exposed_instants
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
@@ -132,17 +126,17 @@ def test_shortcuts_become_right_in_proportion_to_a_small_vibration():
     errors = []
     for scale in (1e-5, 3e-5):
         calm = load_study("mirror-exposure", {**SMALL, "imaging.scale": scale}).identity_text()
-        errors.append(compute(calm, np.array([0]), "numpy").arrays["image_error"][0])
+        errors.append(KIND.compute(calm, np.array([0]), "numpy").arrays["image_error"][0])
     np.testing.assert_allclose(errors[1] / errors[0], 3.0, rtol=2e-2)
 
 
 def test_a_case_does_not_depend_on_its_chunk(study):
     text = study.identity_text()
-    together, alone = (compute(text, np.array(cases), "numpy").arrays for cases in ([0, 1], [1]))
+    together, alone = (KIND.compute(text, np.array(cases), "numpy").arrays for cases in ([0, 1], [1]))
     for name, values in alone.items():
         np.testing.assert_array_equal(values[0], together[name][1], err_msg=name)
     assert {name: values.shape[1:] for name, values in alone.items()} == {
-        name: variable.shape for name, variable in template(text).per_case.items()
+        name: variable.shape for name, variable in KIND.template(text).per_case.items()
     }
 
 
@@ -156,7 +150,7 @@ def test_the_memory_of_an_exposure_does_not_hold_its_images(light):
         text = load_study("mirror-exposure", SMALL | keys).identity_text()
         aberrations_of(text, "circular", "krylov108(200,450,700)")
         tracemalloc.start()
-        assert compute(text, np.array([0]), "numpy").status[0] == DONE
+        assert KIND.compute(text, np.array([0]), "numpy").status[0] == DONE
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[2] - peaks[1] < 0.1 * 500 * 64**2 * 8
@@ -170,7 +164,7 @@ def test_the_memory_of_an_exposure_does_not_hold_its_images(light):
     ],
 )
 def test_motion_that_no_image_holds_is_quarantined(keys, words):
-    found = compute(load_study("mirror-exposure", SMALL | keys).identity_text(), np.array([1]), "numpy")
+    found = KIND.compute(load_study("mirror-exposure", SMALL | keys).identity_text(), np.array([1]), "numpy")
     assert found.status[0] == RAISED
     assert words in found.messages[0]
     assert np.isnan(found.arrays["exposure"][0]).all()
@@ -185,7 +179,7 @@ def test_a_wavefront_that_is_no_number_is_quarantined_alone(study, monkeypatch):
         return spoiled if variant == "craigb18" else aberrations_of(text, model, variant)
 
     monkeypatch.setattr(mirror_exposure, "aberrations_of", of)
-    found = compute(text, np.array([0, 1]), "numpy")
+    found = KIND.compute(text, np.array([0, 1]), "numpy")
     assert found.status.tolist() == [DONE, RAISED]
     assert "is not finite, so there is no exposure" in found.messages[1]
 

@@ -18,7 +18,7 @@ from wavequake.optics.rays.pupils import sunflower
 from wavequake.reduction.reduce import reduce
 from wavequake.report.answers.comparison import compare
 from wavequake.workflows.mirrors.bench import bench_of, build_model
-from wavequake.workflows.mirrors.mor import compute, exposures
+from wavequake.workflows.mirrors.mor import KIND, exposures
 from wavequake.workflows.planning.plan import plan
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
@@ -215,9 +215,9 @@ def test_krylov_is_best_below_250_hz_and_useless_above_400_in_the_light_too(tmp_
 
 def test_a_case_alone_has_the_bits_it_has_in_a_chunk(study):
     text = study.identity_text()
-    together = compute(text, np.arange(4), "auto")
+    together = KIND.compute(text, np.arange(4), "auto")
     for case in (3, 1):
-        alone = compute(text, np.array([case]), "auto")
+        alone = KIND.compute(text, np.array([case]), "auto")
         for name, values in alone.arrays.items():
             if name != "reduce_seconds":
                 np.testing.assert_array_equal(values[0], together.arrays[name][case], err_msg=name)

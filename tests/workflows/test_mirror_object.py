@@ -14,13 +14,7 @@ from wavequake.imaging.objects.shapes import double_slit
 from wavequake.imaging.pupils.pupil_shape import PupilShape
 from wavequake.report.campaign import report_store
 from wavequake.workflows.exposures import mirror_exposure
-from wavequake.workflows.exposures.mirror_exposure import (
-    KIND,
-    aberrations_of,
-    compute,
-    study_of,
-    template,
-)
+from wavequake.workflows.exposures.mirror_exposure import KIND, aberrations_of, study_of
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.mirrors.bench import bench_of
 from wavequake.workflows.run import run_study
@@ -56,7 +50,7 @@ def models(tmp_path_factory):
 
 def computed(keys):
     text = load_study("mirror-exposure", SMALL | keys).identity_text()
-    found = compute(text, np.array([1]), "numpy")
+    found = KIND.compute(text, np.array([1]), "numpy")
     assert found.status[0] == 1, found.messages
     return text, {name: values[0] for name, values in found.arrays.items()}
 
@@ -125,7 +119,7 @@ def test_a_study_with_an_object_stores_and_reports_it(tmp_path):
 def test_template_describes_what_is_computed(keys):
     text, found = computed(keys)
     assert {name: np.shape(values) for name, values in found.items()} == {
-        name: variable.shape for name, variable in template(text).per_case.items()
+        name: variable.shape for name, variable in KIND.template(text).per_case.items()
     }
 
 

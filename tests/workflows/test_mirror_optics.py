@@ -10,7 +10,7 @@ from wavequake.errors import UserError
 from wavequake.optics.wavefronts.wavefront import prepare_system
 from wavequake.reduction.two_stage import reference
 from wavequake.workflows.mirrors import optics as mirror_optics
-from wavequake.workflows.mirrors.bench import any_study_of, bench_of, build_model, variant_of
+from wavequake.workflows.mirrors.bench import bench_of, build_model, study_of, variant_of
 from wavequake.workflows.mirrors.optics import (
     deformation_sensitivity,
     displacements_mm,
@@ -159,4 +159,4 @@ def _aside(nodes):
 )
 def test_imported_surfaces_that_are_no_mirror_on_the_axis_are_refused(study, bench, change, words):
     with pytest.raises(UserError, match=words):
-        optics_of(any_study_of(study.identity_text()), "file", _moved(bench, change))
+        optics_of(study_of(study.identity_text()), "file", _moved(bench, change))

@@ -26,7 +26,7 @@ from wavequake.workflows.mirrors.residual import (
     residual_of,
     rms_of,
 )
-from wavequake.workflows.mirrors.trace import STAGES, compute, modal_method, standard_method
+from wavequake.workflows.mirrors.trace import KIND, STAGES, modal_method, standard_method
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
@@ -89,7 +89,7 @@ def test_sums_of_splines_trace_as_the_splines_of_summed_heights():
 
 def _arrays(keys):
     text = load_study("mirror-trace", TRACE | keys).identity_text()
-    result = compute(text, np.arange(1), "auto")
+    result = KIND.compute(text, np.arange(1), "auto")
     assert list(result.status) == [1], result.messages
     return {name: values[0] for name, values in result.arrays.items()}
 

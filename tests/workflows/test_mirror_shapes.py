@@ -11,7 +11,7 @@ from wavequake.report.mirrors import report as mirrors
 from wavequake.report.mirrors import shapes as draw
 from wavequake.report.mirrors.deformed_body import bodies
 from wavequake.workflows.mirrors.bench import bench_of, build_model, variant_of
-from wavequake.workflows.mirrors.mor import compute
+from wavequake.workflows.mirrors.mor import KIND
 from wavequake.workflows.mirrors.shapes import mode_shapes, rim_node
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
@@ -91,7 +91,7 @@ def test_a_mirror_that_is_moved_slowly_moves_its_rim_alike():
     keys = {"reduction.variants": ["craigb18"], "time.duration_s": 0.25, "time.step_s": 5e-4}
     keys |= {"excitation.sine300.interfaces": [], "excitation.sine300.frequency_hz": 1.0}
     found = load_study("mirror-mor", {key: value for key, value in (MOR | keys).items() if value != []})
-    result = compute(found.identity_text(), np.arange(1), "auto")
+    result = KIND.compute(found.identity_text(), np.arange(1), "auto")
     names = [one.name for one in found.excitation]
     motion = result.arrays["node_motion"][0, names.index("sine300")]
     mounts = found.excitation[names.index("sine300")].amplitude * np.sin(

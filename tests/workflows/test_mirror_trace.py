@@ -22,7 +22,7 @@ from wavequake.workflows.mirrors import trace as mirror_trace
 from wavequake.workflows.mirrors.bench import bench_of, variant_of
 from wavequake.workflows.mirrors.optics import displacements_mm
 from wavequake.workflows.mirrors.residual import coordinates_of
-from wavequake.workflows.mirrors.trace import MODAL, STAGES, STANDARD, compute, standard_method
+from wavequake.workflows.mirrors.trace import KIND, MODAL, STAGES, STANDARD, standard_method
 from wavequake.workflows.planning.plan import plan
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.usefixtures("mirror_models")
 
 def _arrays(keys):
     text = load_study("mirror-trace", TRACE | keys).identity_text()
-    result = compute(text, np.arange(1), "auto")
+    result = KIND.compute(text, np.arange(1), "auto")
     assert list(result.status) == [1], result.messages
     return {name: values[0] for name, values in result.arrays.items()}
 
@@ -109,7 +109,7 @@ def test_modes_of_which_only_z_is_kept_are_off_by_percents():
 def test_a_case_alone_has_the_bits_it_has_in_a_chunk():
     keys = TRACE | {"reduction.variants": ["craigb18", "rubin18"]}
     text = load_study("mirror-trace", keys).identity_text()
-    together, alone = compute(text, np.arange(2), "auto"), compute(text, np.array([1]), "auto")
+    together, alone = KIND.compute(text, np.arange(2), "auto"), KIND.compute(text, np.array([1]), "auto")
     for name, values in alone.arrays.items():
         if name != "seconds":
             np.testing.assert_array_equal(values[0], together.arrays[name][1], err_msg=name)

@@ -7,7 +7,7 @@ from study_text import force
 import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.workflows.study import load_study
-from wavequake.workflows.systems.bench import plants_of_text
+from wavequake.workflows.systems.bench import system_bench
 
 STUDY = """
 [study]
@@ -69,7 +69,7 @@ def test_the_first_surface_moves_and_deforms_with_the_modes(tmp_path):
     shapes = table(tmp_path)
     (tmp_path / "study.toml").write_text(STUDY)
     loaded = load_study(tmp_path / "study.toml")
-    plant = plants_of_text(loaded.identity_text())["full"]
+    plant = system_bench(loaded.identity_text()).plants["full"]
     np.testing.assert_allclose(plant.omega / 2 / np.pi, [25.0, 300.0], rtol=1e-12)
     rigid = plant.shapes[plant.outputs["rigid", "primary"]]
     figure = plant.shapes[plant.outputs["figure", "M1"]]
@@ -105,4 +105,4 @@ def test_bad_bodies_are_refused(tmp_path, change, words):
     table(tmp_path)
     (tmp_path / "study.toml").write_text(STUDY.replace(*change))
     with pytest.raises(UserError, match=words):
-        plants_of_text(load_study(tmp_path / "study.toml").identity_text())
+        system_bench(load_study(tmp_path / "study.toml").identity_text())

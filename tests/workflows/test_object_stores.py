@@ -83,8 +83,8 @@ def test_of_many_writers_one_creates_and_none_loses_a_change(path):
         won = list(pool.map(lambda i: objects.put(path / "one", b"%d" % i, None), range(8)))
         assert sum(won) == 1
         assert (path / "one").read_bytes() == b"%d" % won.index(True)
-        list(pool.map(add, range(40)))
-    assert sorted(map(int, names.read_bytes().split())) == list(range(40))
+        list(pool.map(add, range(16)))
+    assert sorted(map(int, names.read_bytes().split())) == list(range(16))
 
 
 def test_addresses_are_kept_whole_and_are_no_folders_of_this_machine(tmp_path, monkeypatch):
@@ -228,7 +228,7 @@ def driver(path, seconds, **keywords):
 def test_four_writers_that_are_killed_lose_nothing(path, tmp_path):
     """Two of four workers, and then the driver with all others, at moments that a seed draws."""
     generator = random.Random(4)
-    cases, seconds = 80, 0.02
+    cases, seconds = 60, 0.02
     running = driver(path, seconds, cases=cases, chunk=CHUNK, on="local", workers=4)
     wait_for_chunks(path, 2)
     workers = [one for one in psutil.Process(running.pid).children(recursive=True) if one.children() == []]
@@ -253,12 +253,12 @@ def wait_for_chunks(path, count):
     end = time.monotonic() + 120
     while len(list((path / "done").glob("*.jsonl"))) < count:
         assert time.monotonic() < end
-        time.sleep(0.05)
+        time.sleep(0.2)
 
 
 def test_shards_fill_a_store_together_at_the_same_time(path, tmp_path):
-    running = [driver(path, 0.02, cases=37, chunk=CHUNK, shard=f"{i}/4") for i in range(4)]
-    assert [one.wait(120) for one in running] == [0] * 4
+    running = [driver(path, 0.02, cases=37, chunk=CHUNK, shard=f"{i}/3") for i in range(3)]
+    assert [one.wait(120) for one in running] == [0] * 3
     toy.run(tmp_path / "s", {"sleep_s": 0.02}, cases=37, chunk=CHUNK)
     identical(path, tmp_path / "s")
 

@@ -21,7 +21,7 @@ from wavequake.control.sensor import quantized_command
 from wavequake.control.stage import Stage, stage_response
 from wavequake.control.thesis import future_integration
 from wavequake.errors import UserError
-from wavequake.workflows.lens.experiment import KIND, compute
+from wavequake.workflows.lens.experiment import KIND
 from wavequake.workflows.lens.loops import beside, closed_loops
 from wavequake.workflows.loops.loop_margins import loops_of
 from wavequake.workflows.study import load_study
@@ -213,9 +213,9 @@ def test_perfect_leaves_nothing_and_off_moves_nothing(tmp_path, free):
 def test_the_bench_s_own_controllers_keep_their_bits_and_cases_do_not_depend_on_chunks(tmp_path):
     text = CAMERA + LOOP.format(name="known", model="lqr", late=0.2, more="structure = true\neffort = 1e-4")
     bare, looped = study_of(tmp_path, ""), study_of(tmp_path, text)
-    plain = compute(bare.identity_text(), np.array([1]), "numpy")
-    found = compute(looped.identity_text(), np.arange(2), "numpy")
-    alone = compute(looped.identity_text(), np.array([1]), "numpy")
+    plain = KIND.compute(bare.identity_text(), np.array([1]), "numpy")
+    found = KIND.compute(looped.identity_text(), np.arange(2), "numpy")
+    alone = KIND.compute(looped.identity_text(), np.array([1]), "numpy")
     assert (found.status == DONE).all()
     for name, values in alone.arrays.items():
         np.testing.assert_array_equal(values[0], found.arrays[name][1], err_msg=name)

@@ -10,7 +10,7 @@ from wavequake.chain.sampling import Plan
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.streams import Coordinates
 from wavequake.workflows.run import run_study
-from wavequake.workflows.segments.disturbance import compute
+from wavequake.workflows.segments.disturbance import KIND
 from wavequake.workflows.segments.draws import sampling_plan
 from wavequake.workflows.study import load_study
 
@@ -121,7 +121,7 @@ def test_a_case_depends_on_study_and_id_alone(tmp_path, method, optics):
     assert whole["replicate"].to_numpy().tolist() == [r // 4 % 2 for r in range(40)]
     text = study.identity_text()
     for case in (39, 0, 17, 18):
-        alone = compute(text, np.array([case]), "auto")
+        alone = KIND.compute(text, np.array([case]), "auto")
         np.testing.assert_array_equal(alone.arrays["wfe_rms_raw"][0], whole["wfe_rms_raw"][case].to_numpy())
 
 

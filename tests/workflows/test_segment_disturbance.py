@@ -20,7 +20,7 @@ from wavequake.workflows.study import study_with
 
 
 def rows(text, name, count=12):
-    return np.flatnonzero(workflow.case_table(text, 0, count)["disturbance"] == name)
+    return np.flatnonzero(workflow.KIND.case_table(text, 0, count)["disturbance"] == name)
 
 
 def test_the_pattern_of_populations_is_stable_and_pairs_realizations(study):
@@ -59,7 +59,7 @@ def test_the_line_of_sight_is_the_one_that_was_drawn(text, chunk, name):
 def test_the_image_goes_where_the_line_of_sight_goes(text, chunk):
     """Mean of the exposure's own centroid against the mean line of sight, both on the sky: sign and scale."""
     bench = bench_of(text)
-    axis = workflow.template(text).fixed["x"][1]
+    axis = workflow.KIND.template(text).fixed["x"][1]
     unit = (
         bench.prepared.wavelength / (2 * bench.system.annulus.outer) * 180 / np.pi * 3600e3
     )  # lambda/D in mas
@@ -75,7 +75,7 @@ def test_the_image_goes_where_the_line_of_sight_goes(text, chunk):
 def test_strehl_of_pistons_and_tilts_is_the_exposures_peak(study, text, chunk):
     """Two codes: ray sums about the best-fit plane, and polygon transforms on a grid of 0.05 lambda/D."""
     fine = study_with(study, {"imaging.sampling": 0.05}).identity_text()
-    result = workflow.compute(fine, rows(text, "pistons"), DEVICE)
+    result = workflow.KIND.compute(fine, rows(text, "pistons"), DEVICE)
     strehl = result.arrays["strehl"][:, 0]
     assert ((strehl > 0.5) & (strehl < 0.95)).all()
     np.testing.assert_allclose(result.arrays["exposure"].max(axis=(1, 2)), strehl, rtol=5e-3)
@@ -95,7 +95,7 @@ def test_verdicts_are_those_of_the_stored_peak_to_valley_and_of_the_opds_themsel
     many = study_with(study, {"disturbance.mount.instants": 600, "disturbance.pistons.piston_nm": 12.0})
     many = many.identity_text()
     bench, cases = bench_of(many), np.arange(4)
-    arrays = workflow.compute(many, cases, DEVICE).arrays
+    arrays = workflow.KIND.compute(many, cases, DEVICE).arrays
     rays, weight = bench.prepared.rays, bench.prepared.weight
     design = np.stack([np.ones_like(rays.x), rays.x / 1e4, rays.y / 1e4], axis=1)
     for case in (0, 1, 2):
@@ -120,7 +120,7 @@ def test_spots_are_those_of_the_rays_on_the_sky(study):
     motion = workflow.draw(bench_of(text), row).motion.segment_motion[0]
     tilts = 2.0 * (motion[:, 3:5] - motion[:, 3:5].mean(axis=0)) * 180 / np.pi * 3600e3
     expected = np.sqrt(np.mean(np.sum(tilts**2, axis=1)))
-    chunk = workflow.compute(text, np.array([row]), DEVICE)
+    chunk = workflow.KIND.compute(text, np.array([row]), DEVICE)
     assert chunk.arrays["spot_rms"][0, 0] == pytest.approx(expected, rel=0.05)
 
 
@@ -131,10 +131,12 @@ def test_slopes_and_path_lengths_give_the_same_results_where_no_segment_moves(st
     paths = study_with(study, {"wavefront.zernike_terms": 66})
     assert slopes.identity() != paths.identity()
     cases = rows(text, name)[:1]
-    one, other = (workflow.compute(each.identity_text(), cases, DEVICE).arrays for each in (slopes, paths))
+    one, other = (
+        workflow.KIND.compute(each.identity_text(), cases, DEVICE).arrays for each in (slopes, paths)
+    )
     count = np.count_nonzero(np.isfinite(other["time_s"][0]))
     assert np.isnan(one["zernike"][0, :, 0]).all()
-    kept = [workflow.template(each.identity_text()).per_case["zernike"] for each in (slopes, paths)]
+    kept = [workflow.KIND.template(each.identity_text()).per_case["zernike"] for each in (slopes, paths)]
     assert [each.unknown for each in kept] == [1, 0]  # else each case would count as diverged
     assert np.abs(other["los"][0, :count]).max() > 1.0
     np.testing.assert_allclose(
@@ -148,7 +150,7 @@ def test_slopes_and_path_lengths_give_the_same_results_where_no_segment_moves(st
 def test_slopes_do_not_see_the_pistons_of_segments(study, text):
     flat = {"disturbance.pistons.tip_nrad": 0.0, "disturbance.pistons.tilt_nrad": 0.0}
     moved = study_with(study, {"wavefront.method": "slopes", **flat}).identity_text()
-    arrays = workflow.compute(moved, np.array([0]), DEVICE).arrays
+    arrays = workflow.KIND.compute(moved, np.array([0]), DEVICE).arrays
     still = bench_of(moved).static.rms[0] * 550.0
     # Along a segment's normal is not along the axis: 20 nm sideways turn the parabola's normal a little.
     np.testing.assert_allclose(arrays["wfe_rms"][0, :3], still, rtol=0, atol=0.2)
@@ -158,7 +160,7 @@ def test_slopes_do_not_see_the_pistons_of_segments(study, text):
 def test_circular_coefficients_are_those_of_a_direct_fit_of_circular_polynomials(study, text, chunk):
     circular = study_with(study, {"wavefront.basis": "circular"})
     row = rows(text, "figure")[0]
-    found = workflow.compute(circular.identity_text(), np.array([row]), DEVICE).arrays
+    found = workflow.KIND.compute(circular.identity_text(), np.array([row]), DEVICE).arrays
     bench = bench_of(text)
     states = surface_states(bench, workflow.draw(bench, int(row)), 0, 1)
     opd = trace_states(bench.prepared, states, choose_device("numpy")).opd[0, :, 0]
@@ -176,7 +178,7 @@ def test_the_fitted_reference_moves_the_tilt_into_the_image_point(study, text, c
     """The line of sight is that of Eq. 3.39 but for the polynomials' tilt, which a ragged pupil mixes."""
     fitted = study_with(study, {"wavefront.reference": "fitted"}).identity_text()
     row = rows(text, "m2")[0]
-    found = workflow.compute(fitted, np.array([row]), DEVICE).arrays
+    found = workflow.KIND.compute(fitted, np.array([row]), DEVICE).arrays
     count = np.count_nonzero(np.isfinite(found["time_s"][0]))
     los = chunk.arrays["los"][row, :count]
     np.testing.assert_allclose(found["los"][0, :count], los, rtol=0, atol=2e-3 * np.abs(los).max())
@@ -192,7 +194,7 @@ def test_slopes_about_a_fitted_sphere_are_refused(study):
 def test_a_figure_dims_the_image_as_it_lowers_the_strehl_ratio(study, text):
     """Strehl by the rays' OPD; the image by another sum, on a grid fine enough to hold the peak."""
     keys = {"imaging.sampling": 0.05, "disturbance.figure.figure_nm": {4: 25.0}}
-    result = workflow.compute(study_with(study, keys).identity_text(), rows(text, "figure"), DEVICE)
+    result = workflow.KIND.compute(study_with(study, keys).identity_text(), rows(text, "figure"), DEVICE)
     assert (result.arrays["strehl"][:, 0] < 0.9).all()
     np.testing.assert_allclose(
         result.arrays["exposure"].max(axis=(1, 2)), result.arrays["strehl"][:, 0], rtol=5e-3
@@ -204,22 +206,22 @@ def test_images_by_rays_and_by_polygons_agree(study, text):
     figured = study_with(study, {"optics.rays_per_segment": 72})
     polygons = only_pistons(figured)
     cases = rows(text, "pistons")
-    exact = workflow.compute(polygons.identity_text(), np.array([0, 1]), DEVICE).arrays["exposure"]
-    rays = workflow.compute(figured.identity_text(), cases[:2], DEVICE).arrays["exposure"]
+    exact = workflow.KIND.compute(polygons.identity_text(), np.array([0, 1]), DEVICE).arrays["exposure"]
+    rays = workflow.KIND.compute(figured.identity_text(), cases[:2], DEVICE).arrays["exposure"]
     np.testing.assert_allclose(rays, exact, rtol=0, atol=1e-3)
 
 
 def test_what_no_case_can_succeed_in_is_refused_before_a_store_is_made(study):
     off_axis = only_pistons(study_with(study, {"optics.field_arcmin": [3.0, 0.0]}))
     with pytest.raises(UserError, match=r"tmt-18 at rest is too far from focus .* optics.field_arcmin"):
-        workflow.check(off_axis.identity_text())
-    workflow.check(study.identity_text())
+        workflow.KIND.check(off_axis.identity_text())
+    workflow.KIND.check(study.identity_text())
     one_piece = study_with(
         study, {"telescope.name": "tmt-thesis", "telescope.gap_mm": None, "optics.rays": 500}
     )
     noisy = one_piece.model_copy(update={"disturbance": (EdgeSensorNoise(name="noise"),)})
     with pytest.raises(UserError, match="edge"):
-        workflow.check(noisy.identity_text())
+        workflow.KIND.check(noisy.identity_text())
 
 
 def test_more_zernike_terms_than_the_glass_can_tell_apart_are_refused(study):
@@ -261,7 +263,7 @@ def test_exposure_holds_the_light(text, chunk):
 
 def test_a_segment_that_leaves_the_beam_quarantines_its_case_with_the_reason(study):
     far = study_with(study, {"disturbance.pistons.in_plane_um": 4e6}).identity_text()
-    result = workflow.compute(far, np.array([0, 2]), DEVICE)
+    result = workflow.KIND.compute(far, np.array([0, 2]), DEVICE)
     assert list(result.status) == [RAISED, DONE]
     assert "lost all its rays at instant 0" in result.messages[0]
     assert result.messages[1] == ""
@@ -271,17 +273,17 @@ def test_a_segment_that_leaves_the_beam_quarantines_its_case_with_the_reason(stu
 
 def test_tilts_beyond_imaging_quarantine_their_case_alone(study):
     steep = only_pistons(study_with(study, {"disturbance.pistons.tip_nrad": 3e3, "imaging.moments": 1}))
-    result = workflow.compute(steep.identity_text(), np.array([0, 1]), DEVICE)
+    result = workflow.KIND.compute(steep.identity_text(), np.array([0, 1]), DEVICE)
     assert result.status[0] == RAISED
     assert "moments" in result.messages[0]
 
 
 def test_kept_motion_is_the_motion_that_was_drawn(study):
     text = study_with(study, {"store.keep": ["segment_motion"]}).identity_text()
-    result = workflow.compute(text, np.array([0]), DEVICE)
+    result = workflow.KIND.compute(text, np.array([0]), DEVICE)
     drawn = workflow.draw(bench_of(text), 0).motion.segment_motion
     np.testing.assert_array_equal(result.arrays["segment_motion"][0, : len(drawn)], drawn)
-    assert "dof" in workflow.template(text).fixed
+    assert "dof" in workflow.KIND.template(text).fixed
     rms = np.sqrt(np.mean(result.arrays["segment_motion"][0, : len(drawn), :, 2] ** 2, axis=1))
     np.testing.assert_allclose(result.arrays["segment_piston_rms"][0, : len(drawn)], rms * 1e9, rtol=1e-12)
 

@@ -40,7 +40,7 @@ def folder(tmp_path_factory):
 
 
 def test_each_field_point_has_the_bits_of_a_study_of_its_own(folder):
-    several = workflow.compute(loaded(folder, both(*FIELDS)).identity_text(), CASES, "numpy")
+    several = workflow.KIND.compute(loaded(folder, both(*FIELDS)).identity_text(), CASES, "numpy")
     assert (several.status == DONE).all()
     for place, field in enumerate(FIELDS):
         text = loaded(folder, f"optics.field_arcmin={list(field)}").identity_text()
@@ -48,7 +48,7 @@ def test_each_field_point_has_the_bits_of_a_study_of_its_own(folder):
         steered = [
             row for row in CASES if place == 0 or slot(bench_of(text).study.disturbance, row)[0].name != "m2"
         ]
-        alone = workflow.compute(text, CASES, "numpy")
+        alone = workflow.KIND.compute(text, CASES, "numpy")
         for name, one in of_one_place(text).items():
             found = several.arrays[name]
             if name not in OF_ALL_PLACES:
@@ -66,7 +66,7 @@ def test_one_field_point_in_a_list_has_the_dimension_and_the_same_numbers(folder
     listed, plain = loaded(folder, both((0.0, 0.0))).identity_text(), loaded(folder).identity_text()
     assert "fields_arcmin" in listed
     assert "fields_arcmin" not in plain
-    one, other = (workflow.compute(text, CASES[:1], "numpy").arrays for text in (listed, plain))
+    one, other = (workflow.KIND.compute(text, CASES[:1], "numpy").arrays for text in (listed, plain))
     assert one["wfe_rms"].shape == (1, 20, 1)
     np.testing.assert_array_equal(one["zernike"][:, :, 0], other["zernike"])
     np.testing.assert_array_equal(one["exposure"][:, 0], other["exposure"])

@@ -8,15 +8,16 @@ import pytest
 from small_telescope import DEVICE, OPENCL, chunk, only_pistons, study, text  # noqa: F401
 from threadpoolctl import threadpool_limits
 
+from wavequake.kernels.device.devices import choose_device
 from wavequake.workflows.segments import disturbance as workflow
-from wavequake.workflows.segments import launches
+from wavequake.workflows.segments import exposures, launches
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study, study_with
 
 
 def test_a_case_alone_has_the_bits_that_it_has_in_a_chunk(text, chunk):
     for case in (0, 2, 11):
-        alone = workflow.compute(text, np.array([case]), DEVICE)
+        alone = workflow.KIND.compute(text, np.array([case]), DEVICE)
         for name, values in alone.arrays.items():
             np.testing.assert_array_equal(values[0], chunk.arrays[name][case], err_msg=name)
 
@@ -34,13 +35,24 @@ def test_cases_that_stand_still_are_traced_once_and_do_not_depend_on_each_other(
     tiles = {piece.place // 16 for piece in pieces if piece.row in still}
     assert len(tiles) < len(still) / 6
     text, cases = only_pistons(study).identity_text(), np.arange(5, 25)
-    together = workflow.compute(text, cases, DEVICE).arrays
+    together = workflow.KIND.compute(text, cases, DEVICE).arrays
     for row in (0, 13, 19):
-        alone = workflow.compute(text, cases[row : row + 1], DEVICE).arrays
+        alone = workflow.KIND.compute(text, cases[row : row + 1], DEVICE).arrays
         for name, values in alone.items():
             np.testing.assert_array_equal(values[0], together[name][row], err_msg=name)
             if values.ndim > 1 and name not in ("time_s", "exposure"):  # the same at every instant
                 np.testing.assert_array_equal(values[0, :3], np.repeat(values[0, :1], 3, axis=0))
+
+
+@pytest.mark.skipif(choose_device(DEVICE).kind != "cpu", reason="no OpenCL of a processor here")
+def test_images_of_cases_that_stand_still_are_made_together(study, monkeypatch):
+    made, images = [], exposures.still_images
+    monkeypatch.setattr(exposures, "still_images", lambda *given: made.append(images(*given)) or made[-1])
+    text, cases = only_pistons(study).identity_text(), np.arange(5, 25)
+    found, twin = (workflow.compute(text, cases, device).arrays for device in (DEVICE, "numpy"))
+    assert sum(map(len, made)) > len(cases) - 3  # some may be too steep for a few moments
+    for name in ("exposure", "peak", "ee50"):
+        np.testing.assert_allclose(found[name], twin[name], rtol=0, atol=1e-5, err_msg=name)
 
 
 def test_where_a_long_case_is_cut_depends_on_it_alone(monkeypatch):
@@ -62,7 +74,7 @@ def test_where_a_long_case_is_cut_depends_on_it_alone(monkeypatch):
 @pytest.mark.skipif(not OPENCL, reason="no OpenCL device here")
 def test_opencl_and_numpy_agree(text, chunk):
     """OPDs agree to about 1e-7 waves (rounding over 100 m), so Strehl ratios to a few times that."""
-    twin = workflow.compute(text, np.arange(3), "numpy")
+    twin = workflow.KIND.compute(text, np.arange(3), "numpy")
     for name, atol in {
         "zernike": 1e-4,
         "los": 1e-6,
@@ -88,9 +100,9 @@ def test_preparation_has_the_same_bits_on_any_number_of_threads():
 
 def test_long_cases_are_cut_into_launches_without_changing_bits(study, monkeypatch):
     text = study_with(study, {"disturbance.mount.instants": 70}).identity_text()
-    whole = workflow.compute(text, np.array([2, 3]), DEVICE)
+    whole = workflow.KIND.compute(text, np.array([2, 3]), DEVICE)
     monkeypatch.setattr(launches, "_LAUNCH_TILES", 2)
-    cut = workflow.compute(text, np.array([2, 3]), DEVICE)
+    cut = workflow.KIND.compute(text, np.array([2, 3]), DEVICE)
     for name in ("zernike", "los", "strehl"):
         np.testing.assert_array_equal(cut.arrays[name], whole.arrays[name])
     np.testing.assert_allclose(cut.arrays["exposure"], whole.arrays["exposure"], rtol=1e-12)

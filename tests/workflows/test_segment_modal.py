@@ -85,11 +85,13 @@ def uncertified(monkeypatch):
 
 def computed(study, cases, **keys):
     text = study_with(study, {key.replace("__", "."): value for key, value in keys.items()}).identity_text()
-    return kept_result(text, workflow.template(text), workflow.compute(text, np.asarray(cases), DEVICE))
+    return kept_result(
+        text, workflow.KIND.template(text), workflow.KIND.compute(text, np.asarray(cases), DEVICE)
+    )
 
 
 def names(study, count):
-    return workflow.case_table(study.identity_text(), 0, count)["disturbance"]
+    return workflow.KIND.case_table(study.identity_text(), 0, count)["disturbance"]
 
 
 def test_modal_numbers_are_those_of_full_traces(study):
@@ -158,7 +160,7 @@ def test_motions_that_the_model_does_not_know_are_traced(study, uncertified, mon
 
     monkeypatch.setattr(segment_modal, "draw_realizations", turned)
     only = study.model_copy(update={"disturbance": study.disturbance[2:3]})
-    traced = workflow.compute(only.identity_text(), np.arange(2), DEVICE).arrays["traced"]
+    traced = workflow.KIND.compute(only.identity_text(), np.arange(2), DEVICE).arrays["traced"]
     assert traced.tolist() == [MODAL, TRACED]
 
 
@@ -315,7 +317,7 @@ def test_a_plan_does_not_take_the_first_cases_for_the_others(study, monkeypatch)
 
     def compute(text, cases, device):
         asked.append(cases)
-        return workflow.compute(text, cases, device)
+        return workflow.KIND.compute(text, cases, device)
 
     chosen = study_with(study, {"campaign.cases": 100_000, "store.chunk_cases": 1000})
     monkeypatch.setitem(kinds._registered, "segment-disturbance", replace(workflow.KIND, compute=compute))

@@ -12,16 +12,15 @@ from small_segments import STUDY, text_of
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.mirrors.models import HexagonalSegment, mirror_mesh
 from wavequake.optics.segments.catalog import telescope
-from wavequake.workflows.mirrors.segment_body import build_segment, hexagon_of, motion_rows
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.mirrors.segment_body import build_segment, hexagon_of, motion_rows, variant_of
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.mor import launches, traced
 from wavequake.workflows.segments.mor_bench import (
     chosen_segments,
     model_of,
     motions,
-    reduced,
     segment_drive,
-    study_of,
     traced_instants,
 )
 from wavequake.workflows.segments.mor_study import telescope_study
@@ -165,7 +164,7 @@ def test_the_response_is_that_of_the_whole_model_by_matrix_exponentials():
     np.testing.assert_allclose(moved[:, :3], poses[:, :3] * 1e3, rtol=0, atol=1e-6 * scale)
     np.testing.assert_allclose(moved[:, 3:6], poses[:, 3:], rtol=0, atol=1e-9 * scale)
     # The error of a variant is its distance from this truth.
-    small = motions(study, model, reduced(model, "guyan9"), [7])[1, :, 0]
+    small = motions(study, model, variant_of(model, "guyan9"), [7])[1, :, 0]
     assert np.abs(small[:, 2] - poses[:, 2] * 1e3).max() > 1e-4 * scale
 
 

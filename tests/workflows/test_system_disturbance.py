@@ -138,7 +138,7 @@ def test_the_line_of_sight_moves_the_image_by_the_focal_length(text, found):
     _, drawn = draw(system_bench(text), 4)
     moved = found["los_mm"][4, :, 0, 0]
     assert np.abs(moved).max() > 1e-5
-    expected = 1000.0 * np.abs(drawn.sight) * (1 + TILT_OF_COMA)
+    expected = 1000.0 * np.abs(drawn.mount) * (1 + TILT_OF_COMA)
     np.testing.assert_allclose(np.abs(moved), expected, rtol=1e-6, atol=1e-9)
 
 

@@ -10,9 +10,9 @@ from wavequake.campaign.contract import DONE, RAISED
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import draw_elements
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
-from wavequake.mechanics.disturbances.registry import instants_of, parts
+from wavequake.mechanics.disturbances.registry import draw_case, instants_of, parts
 from wavequake.optics.catalog.names import optical_system
 from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_sensitivity
 from wavequake.optics.rays.pupils import sunflower
@@ -22,7 +22,8 @@ from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
-from wavequake.workflows.budgets.systems import experiment, variants
+from wavequake.workflows.budgets.elements import Factors, variants
+from wavequake.workflows.budgets.systems import experiment
 from wavequake.workflows.planning.plan import plan
 from wavequake.workflows.run import notices, run, run_study
 from wavequake.workflows.study import load_study, study_with
@@ -189,7 +190,7 @@ def test_a_vibration_that_is_written_down_gives_the_same_case(tmp_path):
     text = HEAD[: HEAD.index("[[disturbance]]")] + VIBRATION.replace("share = 0", "")
     study = written(tmp_path, text)
     (hum,) = study.disturbance
-    drawn = draw_elements((hum,), hum, study.study.seed, 4).rigid
+    drawn = draw_case((hum,), hum, NO_SEGMENTS, study.study.seed, 4).rigid
     dofs = ("dx_um", "dy_um", "dz_um", "rx_urad", "ry_urad", "rz_urad")
     motion = {
         f"{name}.{dof}": 1e6 * moved[:, place]
@@ -212,10 +213,11 @@ def test_a_combination_adds_what_is_random_to_every_instant(tmp_path):
     _, second = draw(bench, 1)
     assert population == both
     alone = {
-        one.name: draw_elements(bench.study.disturbance, one, 20180701, 0) for one in bench.study.disturbance
+        one.name: draw_case(bench.study.disturbance, one, NO_SEGMENTS, 20180701, 0)
+        for one in bench.study.disturbance
     }
     vibrated = bench.study.disturbance[-1]
-    hum = draw_elements((vibrated,), vibrated, 20180701, 0, time=TIME)
+    hum = draw_case((vibrated,), vibrated, NO_SEGMENTS, 20180701, 0, time=TIME)
     for name in ("lens 3", "L1 front"):
         given = alone["shake"].rigid[name] + alone["askew"].rigid[name][0] + hum.rigid[name]
         np.testing.assert_allclose(first.rigid[name], given, rtol=0, atol=1e-20)
@@ -315,13 +317,14 @@ def test_without_its_history_a_combination_keeps_the_instants(tmp_path):
     study = written(tmp_path, text)
     sources = parts(study.disturbance, summed(study, None))
     assert [part.name for part in sources] == ["askew", "shake", "hum", "figure"]
-    whole, _, _, unshaken, *_ = variants(summed(study, None), sources, study.study.seed, 2)
+    factors = Factors(tuple(sources))
+    whole, _, _, unshaken, *_ = variants(summed(study, None), factors, NO_SEGMENTS, 20180701, 2)
     assert unshaken.rigid["lens 3"].shape == (len(TIME), 6)
     moved = whole.rigid["lens 3"] - unshaken.rigid["lens 3"]
     np.testing.assert_allclose(moved[:, 4], 1e-6 * MOTION["lens 3.ry_urad"], rtol=0, atol=1e-18)
     np.testing.assert_allclose(moved[:, [0, 1, 2, 3, 5]], 0.0, rtol=0, atol=1e-20)
     assert np.ptp(unshaken.rigid["lens 3"][:, 0]) > 1e-6
-    assert not unshaken.sight.any()
+    assert not unshaken.mount.any()
 
 
 def test_a_budget_takes_a_history_apart(tmp_path):
@@ -394,4 +397,4 @@ def test_a_case_in_full_detail_has_figures_over_time(tmp_path):
         np.testing.assert_array_equal(figure, 1e9 * drawn.figure["L1 front"])
         tilt = detail["drawn_figure"].sel(deformed="L4 back").isel(term=1)
         np.testing.assert_allclose(tilt, MOTION["L4 back.z2_nm"], rtol=1e-15)
-        np.testing.assert_array_equal(detail["sight"], drawn.sight)
+        np.testing.assert_array_equal(detail["sight"], drawn.mount)

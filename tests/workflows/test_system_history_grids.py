@@ -8,15 +8,16 @@ from test_system_history import HEAD, MOTION, RANDOM, TIME, written
 from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import draw_elements
-from wavequake.mechanics.disturbances.registry import parts
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
+from wavequake.mechanics.disturbances.registry import draw_case, parts
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import GridDeformation
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
-from wavequake.workflows.budgets.systems import elements_of, variants
+from wavequake.workflows.budgets.elements import Factors, variants
+from wavequake.workflows.budgets.systems import elements_of
 from wavequake.workflows.run import run
 from wavequake.workflows.sensitivity import sensitivity
 from wavequake.workflows.study import load_study
@@ -105,7 +106,7 @@ def test_a_grid_is_added_to_what_else_deforms_a_surface(tmp_path):
     bench = system_bench(study_of(tmp_path, arrays, text).identity_text())
     populations = bench.study.disturbance
     both = next(one for one in populations if one.name == "both")
-    drawn = draw_elements(populations, both, 1, 0)
+    drawn = draw_case(populations, both, NO_SEGMENTS, 1, 0)
     index = [surface.name for surface in bench.system.surfaces].index("L3 front")
     form = bench.system.surfaces[index].deformation
     assert (form.terms, form.residual) == (8, GridDeformation(*SHAPE, *SPACING))
@@ -142,9 +143,9 @@ def test_a_budget_takes_grids_away_with_their_surface(tmp_path):
     text = (ARRAYS + "share = 0\n" + RANDOM).replace("L1 front", "L3 front")
     study = study_of(tmp_path, grid(ROUGH, "L3 front"), text)
     sources = parts(study.disturbance, summed(study, None))
-    assert elements_of(sources) == ["lens 3", "L3 front"]
+    assert elements_of(sources) == ("lens 3", "L3 front")
     whole, again, no_askew, no_shake, no_figure, no_body, no_surface, *_ = variants(
-        summed(study, None), sources, 1, 0
+        summed(study, None), Factors(tuple(sources), surfaces=elements_of(sources)), NO_SEGMENTS, 1, 0
     )
     for one in (whole, again, no_askew, no_figure, no_body):
         np.testing.assert_allclose(one.grid["L3 front"], 1e-9 * ROUGH, rtol=1e-15)

@@ -103,7 +103,7 @@ def seen(study, cases, factor=1.0):
             drawn,
             rigid={name: factor * one for name, one in drawn.rigid.items()},
             figure={name: factor * one for name, one in drawn.figure.items()},
-            sight=factor * drawn.sight,
+            mount=factor * drawn.mount,
         )
         motions.append((instants_of(study.disturbance, population), scaled))
     full, modal = (

@@ -65,7 +65,7 @@ def text(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(text):
-    found = workflow.compute(text, np.arange(2), "numpy")
+    found = workflow.KIND.compute(text, np.arange(2), "numpy")
     assert (found.status == DONE).all(), found.messages
     return found.arrays
 
@@ -172,18 +172,18 @@ def test_a_moving_mount_does_what_the_shortcut_says(result):
 def test_too_few_rays_for_an_image_are_named_with_the_number_needed(tmp_path, keys, words):
     path = tmp_path / "few.toml"
     path.write_text(STUDY)
-    said = list(workflow.notices(load_study(path, ["imaging.pixels=16", *keys]).identity_text()))
+    said = list(workflow.KIND.notices(load_study(path, ["imaging.pixels=16", *keys]).identity_text()))
     assert bool(said) == (words is not None)
     if words is not None:
         assert words in said[0]
         enough = re.search(r"take (\d+) rays", said[0]).group(1)
         if int(enough) < 4000:
             mended = load_study(path, ["imaging.pixels=16", *keys, f"optics.rays={int(1.05 * int(enough))}"])
-            assert not list(workflow.notices(mended.identity_text()))
+            assert not list(workflow.KIND.notices(mended.identity_text()))
 
 
 def test_a_case_does_not_depend_on_its_chunk(text, result):
-    alone = workflow.compute(text, np.array([1]), "numpy").arrays
+    alone = workflow.KIND.compute(text, np.array([1]), "numpy").arrays
     for name, values in alone.items():
         np.testing.assert_array_equal(values[0], result[name][1], err_msg=name)
 
@@ -195,7 +195,7 @@ def test_times_beyond_a_population_are_unknown(result):
 
 
 def test_template_describes_what_is_computed(text, result):
-    template = workflow.template(text)
+    template = workflow.KIND.template(text)
     assert {name: values.shape[1:] for name, values in result.items()} == {
         name: variable.shape for name, variable in template.per_case.items()
     }
@@ -206,7 +206,7 @@ def test_a_case_without_light_is_quarantined(tmp_path):
     path = tmp_path / "wild.toml"
     path.write_text(STUDY)
     study = load_study(path, ["exposure.scale=1e6", "disturbance.history.peak_nm=1e8"])
-    found = workflow.compute(study.identity_text(), np.array([0, 1]), "numpy")
+    found = workflow.KIND.compute(study.identity_text(), np.array([0, 1]), "numpy")
     assert found.status[0] == RAISED
     assert "rays are lost" in found.messages[0]
     assert np.isnan(found.arrays["exposure"][0]).all()

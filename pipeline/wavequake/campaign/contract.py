@@ -61,6 +61,12 @@ class ChunkResult:
     timings: Mapping[str, float] = field(default_factory=dict)
 
 
+def unknown_arrays(variables: Mapping[str, Variable], cases: int) -> dict[str, NDArray[Any]]:
+    """Return arrays (case, ...) of which nothing is known: NaN, or 0 where they are of whole numbers."""
+    blank = {name: np.nan if np.dtype(one.dtype).kind in "fc" else 0 for name, one in variables.items()}
+    return {name: np.full((cases, *one.shape), blank[name], one.dtype) for name, one in variables.items()}
+
+
 def no_description(study: str) -> dict[str, str]:
     """Add nothing to the plan."""
     return {}

@@ -6,12 +6,12 @@ measures that are taken of it; template, padding, statuses and errors follow.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wavequake.campaign.contract import (
     DONE,
@@ -21,12 +21,14 @@ from wavequake.campaign.contract import (
     Fixed,
     StudyKind,
     Template,
+    unknown_arrays,
 )
+from wavequake.campaign.engine.chunk_size import stored_bytes
 from wavequake.campaign.measures import Axis, Measure, evaluate, template_of
 from wavequake.campaign.schema import Study, study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
-from wavequake.prepared import prepared
+from wavequake.prepared import one_thread, prepared
 
 CaseTable = dict[str, NDArray[Any]]
 
@@ -47,6 +49,30 @@ class Block:
 Compute = Callable[[Any, CaseTable, str, Stopwatch], Iterator[Block] | Block]
 
 
+def one_by_one(
+    cases: NDArray[np.int64], compute: Callable[[int], Mapping[str, ArrayLike]]
+) -> Iterator[Block]:
+    """Yield the numbers of cases that are computed one after the other; one that raises UserError has none.
+
+    `compute` returns those of a case by name, for measures that are found under their names.
+    """
+    for row, case in enumerate(cases.tolist()):
+        try:
+            found = compute(case)
+        except UserError as error:
+            yield Block(None, np.array([row]), {0: str(error)})
+            continue
+        yield Block({name: np.asarray(values)[None] for name, values in found.items()}, np.array([row]))
+
+
+def _study_itself(study: Any) -> Any:
+    return study
+
+
+def _nothing_wrong(study: Any) -> None:
+    """Find nothing wrong with a study that can be prepared."""
+
+
 def _no_axes(bench: Any) -> Mapping[str, Axis]:
     return {}
 
@@ -61,6 +87,10 @@ def _no_words(bench: Any) -> Mapping[str, str]:
 
 def _no_amounts(bench: Any, cases: int) -> dict[str, tuple[float, str]]:
     return {}
+
+
+def _no_bytes(bench: Any) -> int:
+    return 0
 
 
 def _no_lines(study: Any) -> Iterable[str]:
@@ -87,13 +117,15 @@ class _Parts:
     work: Callable[[Any, int], dict[str, tuple[float, str]]]
     notices: Callable[[Any], Iterable[str]]
     pictures: Callable[[Any, Any], Iterable[Drawn]]
+    check: Callable[[Any], None]
+    memory: Callable[[Any], int]
 
 
 def study_kind(
     name: str,
     model: type[Study],
     *,
-    prepare: Callable[[Any], Any],
+    prepare: Callable[[Any], Any] = _study_itself,
     cases: Callable[[Any, NDArray[np.int64]], CaseTable],
     compute: Compute,
     measures: Callable[[Any], Iterable[Measure]],
@@ -103,6 +135,8 @@ def study_kind(
     work: Callable[[Any, int], dict[str, tuple[float, str]]] = _no_amounts,
     notices: Callable[[Any], Iterable[str]] = _no_lines,
     pictures: Callable[[Any, Any], Iterable[Drawn]] = _no_pictures,
+    check: Callable[[Any], None] = _nothing_wrong,
+    memory: Callable[[Any], int] = _no_bytes,
     compared: tuple[str, ...] = ("disturbance",),
 ) -> StudyKind:
     """Return a study kind that is made of typed functions.
@@ -115,7 +149,7 @@ def study_kind(
         Its study files.
     prepare : callable
         From a study to the bench: what all cases share, made once per process with one BLAS thread. It raises
-        UserError for a study of which no case can succeed.
+        UserError for a study of which no case can succeed. By default the bench is the study.
     cases : callable
         From a study and case ids (n,) to their labels, arrays (n,) of str, int or float.
     compute : callable
@@ -128,6 +162,11 @@ def study_kind(
     describe, work, notices, pictures : callable
         Lines of the plan (bench), amounts of work by kind of a number of cases (bench, cases), what the user
         should read before a run (study), pictures of the report (bench, dataset).
+    check : callable
+        Raises UserError for a study of which no case can succeed, where preparing it does not: it is called
+        before a store is made, not by workers.
+    memory : callable
+        From the bench to the bytes that each case takes while it is computed, beside what is stored.
     compared : tuple of str
         Labels of cases that reports tell apart.
 
@@ -141,7 +180,20 @@ def study_kind(
     if not (isinstance(model, type) and issubclass(model, Study)):
         raise UserError(f"The model of the study kind {name!r} is {model!r}; it must be a subclass of Study.")
     parts = _Parts(
-        name, model, prepare, cases, compute, measures, axes, fixed, describe, work, notices, pictures
+        name,
+        model,
+        prepare,
+        cases,
+        compute,
+        measures,
+        axes,
+        fixed,
+        describe,
+        work,
+        notices,
+        pictures,
+        check,
+        memory,
     )
     for one in fields(parts)[2:]:
         if not callable(getattr(parts, one.name)):
@@ -183,8 +235,15 @@ def _bench(parts: _Parts, text: str) -> Any:
 def _template(parts: _Parts, text: str) -> Template:
     with _explained(parts, "prepare"):
         bench = _bench(parts, text)
-    with _explained(parts, "measures, axes or fixed"):
-        return template_of(parts.measures(bench), parts.axes(bench), parts.fixed(bench))
+    with _explained(parts, "measures, axes, fixed or memory"):
+        found = template_of(_measures(parts, text), parts.axes(bench), parts.fixed(bench))
+        more = parts.memory(bench)
+        return replace(found, working_bytes=stored_bytes(found) + more) if more else found
+
+
+@prepared(maxsize=8)
+def _measures(parts: _Parts, text: str) -> tuple[Measure, ...]:
+    return tuple(parts.measures(_bench(parts, text)))
 
 
 def _case_table(parts: _Parts, text: str, first: int, last: int) -> CaseTable:
@@ -204,17 +263,11 @@ def _case_table(parts: _Parts, text: str, first: int, last: int) -> CaseTable:
     return table
 
 
+@one_thread()
 def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) -> ChunkResult:
     study, bench, clock = study_from_identity(parts.model, text), _bench(parts, text), Stopwatch()
-    template, measures = _template(parts, text), tuple(parts.measures(bench))
-    arrays = {
-        name: np.full(
-            (len(cases), *variable.shape),
-            np.nan if np.dtype(variable.dtype).kind == "f" else 0,
-            variable.dtype,
-        )
-        for name, variable in template.per_case.items()
-    }
+    template, measures = _template(parts, text), _measures(parts, text)
+    arrays: dict[str, NDArray[Any]] = {}
     status, messages = np.zeros(len(cases), np.int8), [""] * len(cases)
     try:
         blocks = parts.compute(bench, {"case": cases, **parts.cases(study, cases)}, device, clock)
@@ -224,9 +277,15 @@ def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) ->
         if not isinstance(block, Block):
             raise TypeError(f"compute of {parts.name} gave {type(block).__name__}, not Block(...)")
         rows = np.arange(len(cases)) if block.rows is None else np.asarray(block.rows)
-        for measure in measures if len(block.messages) < len(rows) else ():
-            shape = template.per_case[measure.name].shape
-            arrays[measure.name][rows] = evaluate(measure, block.result, len(rows), shape)
+        taken = {
+            measure.name: evaluate(measure, block.result, len(rows), template.per_case[measure.name].shape)
+            for measure in (measures if len(block.messages) < len(rows) else ())
+        }
+        if block.rows is None and not block.messages:  # all at once
+            arrays = taken
+        arrays = arrays or unknown_arrays(template.per_case, len(cases))
+        for name, values in taken.items() if arrays is not taken else ():
+            arrays[name][rows] = values
         status[rows] = DONE
         for place, message in block.messages.items():
             row = int(rows[place])
@@ -251,6 +310,8 @@ def _work(parts: _Parts, text: str, cases: int) -> dict[str, tuple[float, str]]:
 
 
 def _check(parts: _Parts, text: str) -> None:
+    with _explained(parts, "check"):
+        parts.check(study_from_identity(parts.model, text))
     _template(parts, text)
     _case_table(parts, text, 0, 1)
 

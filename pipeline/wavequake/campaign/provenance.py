@@ -45,14 +45,24 @@ def collect(device: Device) -> dict[str, str]:
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "wavequake": __version__,
         "code": code(),
-        "git_commit": git_commit(_PACKAGE_FOLDER),
+        "git_commit": _own_commit(),
         "python": platform.python_version(),
-        "packages": ", ".join(f"{name} {_version(name)}" for name in _PACKAGES),
+        "packages": _packages(),
         "platform": platform.platform(),
         "cpu": cpu_model(),
         "blas": blas(),
         "opencl": opencl(device),
     }
+
+
+@lru_cache(maxsize=1)
+def _own_commit() -> str:
+    return git_commit(_PACKAGE_FOLDER)  # once: what is loaded stays, and git takes longer than a small store
+
+
+@lru_cache(maxsize=1)
+def _packages() -> str:
+    return ", ".join(f"{name} {_version(name)}" for name in _PACKAGES)
 
 
 def code() -> str:

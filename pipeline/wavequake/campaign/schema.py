@@ -40,6 +40,14 @@ def require_own_names(kind: str, blocks: Sequence[Any], taken: Sequence[str] = (
         raise ValueError(f"two {kind}s are called {twice!r}; each needs a name of its own")
 
 
+def each_once(value: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the values of a list, as a pydantic validator; raise ValueError if one is listed twice."""
+    twice = next((one for one in value if value.count(one) > 1), None)
+    if twice is not None:
+        raise ValueError(f"{twice!r} is listed twice")
+    return value
+
+
 class StudySection(Section):
     """What the study is called and which workflow runs it."""
 

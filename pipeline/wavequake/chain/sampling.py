@@ -5,7 +5,7 @@ to a few independent sets, the replicates: the numbers of a set are not independ
 what is known of an estimate's error is the scatter between sets.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
@@ -16,8 +16,10 @@ from pydantic import Field, model_validator
 
 from wavequake.campaign.schema import CampaignSection
 from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Coordinates, Random, Streams, own_streams
 from wavequake.prepared import prepared
@@ -173,22 +175,11 @@ class Plan:
 
 
 def plan_of(
-    campaign: SampledCampaignSection,
-    seed: int,
-    shares: Sequence[int],
-    draw: Callable[[Streams], object],
-    sources: Iterable[Source],
+    campaign: SampledCampaignSection, seed: int, populations: Sequence[Population], layout: SegmentLayout
 ) -> Plan:
-    """Return the plan of a study.
+    """Return the plan of a study whose populations move what a layout names.
 
-    Parameters
-    ----------
-    shares : sequence of int
-        Of the populations in the pattern of cases.
-    draw : callable
-        Draws every disturbance of the study once from the streams that it is given.
-    sources : iterable of Source
-        All of them, which say whether their numbers are spread evenly.
+    Every disturbance is drawn once to see how many numbers it takes.
 
     Raises
     ------
@@ -198,17 +189,20 @@ def plan_of(
     if campaign.sampling == "random":
         return Plan("random", seed, 1, 0, ())
     counters: dict[str, Coordinates] = {}
-    stratified = {source.name: source.stratified for source in sources}
+    singles = [entry for entry in populations if isinstance(entry, Source)]
+    stratified = {source.name: source.stratified for source in singles}
 
     def counting(name: str) -> Random | None:
         if stratified[name.partition("/")[0]]:
             counters[name] = Coordinates()
         return counters.get(name)
 
-    draw(counting)
+    for entry in (one for one in singles if one.random):
+        draw_case(singles, entry, layout, seed, 0, counting)
     sizes = tuple((name, counter.taken) for name, counter in counters.items())
     points = 0
     if campaign.sampling == "latin-hypercube":
+        shares = [entry.share for entry in populations]
         points = campaign.cases // sum(shares) * max(shares) // campaign.replicates
     plan = Plan(campaign.sampling, seed, campaign.replicates, points, sizes)
     if plan.method == "sobol" and plan.dimensions > scipy.stats.qmc.Sobol.MAXDIM:

@@ -55,6 +55,9 @@ _IMPORTED = (
     "scipy.sparse.csgraph",
 )
 
+_KNOWN = ("wavequake.", "s3fs")
+_prepared: set[int] = set()  # processes that have one to fork workers from
+
 # A task takes seconds: slow clocks save idle CPU time, and as no result stays in memory, nobody has to manage
 # it. A worker holds no task but the one it runs, so that its death is blamed on no other.
 SETTINGS: dict[str, Any] = {
@@ -92,6 +95,11 @@ GUARDED = 'a script that starts processes must do so under `if __name__ == "__ma
 _GUARD = 'a script that runs campaigns must do so under `if __name__ == "__main__":` or with on="serial".'
 
 
+def start_of_processes() -> str:
+    """Return how a process of its own starts: forked as workers are where they are; else anew."""
+    return "forkserver" if os.getpid() in _prepared else "spawn"
+
+
 def leave_if_imported_by_a_worker() -> None:
     """End this process quietly if it is a worker that runs the user's script because that has no guard."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
@@ -112,10 +120,11 @@ def prepare_workers(*modules: str) -> None:
     leave_if_imported_by_a_worker()
     with worker_environment(), interrupts_blocked():
         # Modules of plug-ins are no files that can be found there; what fails to load would end that process.
-        ours = [name for name in modules if name.startswith("wavequake.")]
-        forkserver.set_forkserver_preload([*_IMPORTED, *ours])
+        known = [name for name in modules if name.startswith(_KNOWN)]
+        forkserver.set_forkserver_preload([*_IMPORTED, *known])
         try:
             forkserver.ensure_running()
+            _prepared.add(os.getpid())
         except OSError as error:
             if "too long" not in str(error):
                 raise

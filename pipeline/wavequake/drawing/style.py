@@ -13,6 +13,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -83,8 +84,20 @@ def svg_text(figure: Figure, salt: str = "wavequake") -> str:
     """Return a figure as SVG, the same bytes every time; its ids are unique as long as `salt` is."""
     buffer = io.StringIO()
     show_names(figure)
+    engine, canvas, dots = figure.get_layout_engine(), figure.canvas, figure.dpi
     with rc_context({**STYLE, "svg.hashsalt": salt}):
-        figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
+        try:
+            svg = FigureCanvasSVG(figure)
+            if engine is not None:  # `savefig` would draw all of the figure for nothing but its layout
+                figure.dpi = 72  # as an SVG has
+                engine.execute(figure)
+                figure.set_layout_engine("none")
+            figure.dpi = 150  # of pictures in it
+            svg.print_svg(buffer, metadata={"Date": None})
+        finally:
+            figure.set_layout_engine(engine)
+            figure.set_canvas(canvas)
+            figure.dpi = dots
     return printable(buffer.getvalue())
 
 

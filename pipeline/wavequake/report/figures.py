@@ -5,8 +5,7 @@ images are perceptually uniform, and curves use the Okabe-Ito palette with a lin
 well without color vision.
 """
 
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib import colormaps, rc_context
@@ -32,16 +31,16 @@ from wavequake.drawing.style import curve_style as curve_style
 from wavequake.drawing.style import one_panel as one_panel
 from wavequake.drawing.style import stacked as stacked
 from wavequake.drawing.ticks import BareAxes, draw_ticks_at_once, in_inches, number_powers, power_of_ten
-from wavequake.report.populations import Population
+from wavequake.report.populations import Histories, Population
 from wavequake.report.segments.detail import Bent, Detail
 from wavequake.report.segments.raster import fill_segments
-from wavequake.report.statistics import case_rms, distribution
+from wavequake.report.statistics import distribution
 from wavequake.report.table import number
 
 _GRID, _DIVERGING = "#dddddd", "RdBu_r"
-Quantity = Literal["wfe", "strehl"]
 _MAP_PIXELS = 400
 _READABLE = 7.0  # points
+_FAR_APART = 20.0  # values that differ by more have no room beside each other but on a scale of powers
 _ROUNDING = 1e-9  # mas: what differs by less stands still
 
 
@@ -74,7 +73,7 @@ def figure_map(detail: Detail, bent: Bent) -> Figure:
     )
     rms = number(float(np.sqrt(np.mean(heights**2))))
     axes.set_title(f"Figures of the segments, {_instant(detail)}\nrms {rms} nm")
-    _colorbar(figure, axes, ScalarMappable(norm, colors), "height (nm)")
+    colorbar(figure, axes, ScalarMappable(norm, colors), "height (nm)")
     return figure
 
 
@@ -127,30 +126,47 @@ def spot_diagram(detail: Detail) -> Figure:
 
 
 @rc_context(STYLE)
-def distributions(populations: Sequence[Population], quantity: Quantity) -> Figure:
-    """Show the cumulative distribution of each population with its 95 % band.
+def distributions(
+    values: Mapping[str, NDArray[np.float64]],
+    label: str,
+    sets: Mapping[str, NDArray[np.int64] | None] | None = None,
+    of_instants: bool = False,
+) -> Figure:
+    """Show the cumulative distributions of values by name, each with its 95 % band.
 
-    `quantity` is ``"wfe"``, the rms on glass of each case over its instants, or ``"strehl"``, that of each
-    instant.
+    Parameters
+    ----------
+    values : mapping of str to ndarray
+        Of a number of each case shape (C,), of one of each instant (C, T); none of those without a case.
+    label : str
+        Of the values, with their unit.
+    sets : mapping of str to (ndarray of int, shape (C,), or None), optional
+        The stratified set that each case belongs to, where they are not independent.
+    of_instants : bool
+        Whether they are shares, each of an instant, which are shown evenly from nothing to all.
     """
     figure = Figure(figsize=(WIDTH, HEIGHT))
-    _draw_distributions(figure, (0.65, 0.5, WIDTH - 0.85, HEIGHT - 0.95), populations, quantity)
+    box = (0.65, 0.5, WIDTH - 0.85, HEIGHT - 0.95)
+    what = "instants" if of_instants else "cases"
+    axes = _draw_distributions(figure, box, values, label, sets or {}, f"Share of {what}")
+    if not of_instants:
+        _scale(axes, values)
     return figure
 
 
 @rc_context(STYLE)
-def history(population: Population) -> Figure:
+def history(population: Population, histories: Histories) -> Figure:
     """Show wavefront error and line of sight over time: median and worst case before all others."""
     figure = Figure(figsize=(WIDTH, HEIGHT))
     gap, height = 0.2, (HEIGHT - 1.4) / 3
     bottoms = [0.5 + row * (height + gap) for row in (2, 1, 0)]
     panels = [in_inches(figure, 0.75, bottom, WIDTH - 0.95, height, label=0.54) for bottom in bottoms]
-    los = population.los - population.los.mean(axis=(0, 1)) if population.los.size else population.los
-    series = (population.wfe_raw, los[..., 0], los[..., 1])
+    los = histories.los - histories.los.mean(axis=(0, 1)) if histories.los.size else histories.los
+    series = (histories.wfe_raw, los[..., 0], los[..., 1])
     for axes, values, label in zip(
         panels, series, ("WFE on glass (nm)", "LOS x (mas)", "LOS y (mas)"), strict=True
     ):
-        _draw_history(axes, population, values)
+        _draw_history(axes, population, histories.time_s, values)
         axes.set_ylabel(label)
         axes.tick_params(labelbottom=axes is panels[-1])
     low, high = _common_limits(panels[1:])
@@ -179,7 +195,11 @@ def summary_figure(detail: Detail, populations: Sequence[Population]) -> Figure:
     _draw_segments(figure, maps[0], detail, numbers=False)
     _draw_opd(figure, maps[1], detail)
     _draw_psf(figure, maps[2], detail.image, detail.image_x, detail.image_y, detail.case)
-    _draw_distributions(figure, (0.65 + 3 * pitch, bottom, square + 0.6, square), populations, "wfe")
+    named = {one.name: one for one in populations if len(one.cases)}
+    raw = {name: one.wfe_raw for name, one in named.items()}
+    sets = {name: one.sets for name, one in named.items()}
+    box, label = (0.65 + 3 * pitch, bottom, square + 0.6, square), "WFE rms on glass of a case (nm)"
+    _scale(_draw_distributions(figure, box, raw, label, sets, "Wavefront error over cases"), raw)
     return figure
 
 
@@ -187,15 +207,13 @@ def _square(figure: Figure) -> Axes:
     return in_inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
 
 
-def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
-    box, (across, _) = axes.get_position(), figure.get_size_inches()
-    color_scale(figure, (box.x1 + 0.1 / across, box.y0, 0.13 / across, box.height), mappable, label)
-
-
-def color_scale(
-    figure: Figure, place: tuple[float, float, float, float], mappable: ScalarMappable, label: str
+def colorbar(
+    figure: Figure, axes: Axes, mappable: ScalarMappable, label: str, top: Axes | None = None
 ) -> None:
-    """Draw the scale of colors at a place in shares of the figure; a logarithmic one at powers of ten."""
+    """Draw what colors mean beside axes in inches, and beside all that stand above them up to `top`."""
+    box, (across, _) = axes.get_position(), figure.get_size_inches()
+    height = (top or axes).get_position().y1 - box.y0
+    place = box.x1 + 0.1 / across, box.y0, 0.13 / across, height
     side = figure.add_axes(place, axes_class=BareAxes)
     logarithmic = isinstance(mappable.norm, LogNorm)
     bar = figure.colorbar(
@@ -260,7 +278,7 @@ def _draw_segments(figure: Figure, axes: Axes, detail: Detail, numbers: bool = T
     rms = f", rms {number(float(np.sqrt(np.mean(values**2))))} nm" if values.any() else ""
     axes.set_title(f"M1 segments, {_instant(detail)}\n{meaning}{rms}")
     if values.any():
-        _colorbar(figure, axes, ScalarMappable(norm, colors), "displacement (nm)")
+        colorbar(figure, axes, ScalarMappable(norm, colors), "displacement (nm)")
 
 
 def _number_segments(figure: Figure, axes: Axes, detail: Detail, dark: NDArray[np.bool_]) -> None:
@@ -305,7 +323,7 @@ def _draw_opd(figure: Figure, axes: Axes, detail: Detail) -> None:
     else:
         axes.scatter(rays[:, 0] * 1e-3, rays[:, 1] * 1e-3, c=flat, s=4, cmap=_DIVERGING, norm=norm, lw=0)
     axes.set_title(f"Wavefront, {_instant(detail)}\npiston and tilt removed, rms {rms} nm")
-    _colorbar(figure, axes, ScalarMappable(norm, colormaps[_DIVERGING]), "OPD (nm)")
+    colorbar(figure, axes, ScalarMappable(norm, colormaps[_DIVERGING]), "OPD (nm)")
 
 
 def _draw_psf(
@@ -323,49 +341,51 @@ def _draw_psf(
     axes.set(xlabel="x (λ/D)", ylabel="y (λ/D)")
     peak = number(float(np.nanmax(image))) if np.isfinite(image).any() else "–"
     axes.set_title(f"Image, case {case}, mean of its instants\npeak {peak} of the perfect PSF")
-    _colorbar(figure, axes, shown, "irradiance / peak of the perfect PSF")
+    colorbar(figure, axes, shown, "irradiance / peak of the perfect PSF")
 
 
 def _draw_distributions(
     figure: Figure,
     box: tuple[float, float, float, float],
-    populations: Sequence[Population],
-    quantity: Quantity,
-) -> None:
-    named = [population for population in populations if len(population.cases)]
+    values: Mapping[str, NDArray[np.float64]],
+    label: str,
+    sets: Mapping[str, NDArray[np.int64] | None],
+    title: str,
+) -> Axes:
     left, bottom, width, height = box
-    names = [f"{as_name(population.name)} ({len(population.cases)})" for population in named]
+    names = [f"{as_name(name)} ({len(samples)})" for name, samples in values.items()]
     # Letters are about 0.075 inches wide; two columns only where they fit.
     columns = 2 if 2 * (0.075 * max(map(len, names), default=0) + 0.5) <= width + 0.5 else 1
     legend = 0.185 * -(-len(names) // columns)
     axes = in_inches(figure, left, bottom + legend, width, height - legend)
-    samples = [
-        case_rms(population.wfe_raw) if quantity == "wfe" else population.strehl for population in named
-    ]
-    for index, (population, values) in enumerate(zip(named, samples, strict=True)):
-        curve = distribution(values, draws=len(population.cases), sets=population.sets)
+    for index, (name, samples) in enumerate(values.items()):
+        curve = distribution(samples, draws=len(samples), sets=sets.get(name))
         color, line = COLORS[index % len(COLORS)], LINES[index % len(LINES)]
         axes.fill_between(curve.values, curve.low, curve.high, step="post", color=color, alpha=0.18, lw=0)
         steps = np.append(curve.values[:1], curve.values), np.append(0.0, curve.probability)
         axes.step(*steps, where="post", color=color, ls=line, lw=1.5)
     axes.grid(color=_GRID, lw=0.6)
-    axes.set(axisbelow=True, ylim=(0, 1), ylabel="share below")
-    if quantity == "wfe":
-        lowest = min((float(values.min()) for values in samples), default=0.0)
-        highest = max((float(values.max()) for values in samples), default=1.0)
-        if lowest > 0 and highest > 20 * lowest:
-            axes.set_xscale("log")
-            number_powers(axes.xaxis)
-        axes.set_xlabel("WFE rms on glass of a case (nm)")
-        axes.set_title("Wavefront error over cases, 95 % band\n(number of cases in brackets)")
-    else:
-        axes.set_xlabel("Strehl ratio of an instant")
-        axes.set_title("Strehl over instants, 95 % band\n(number of cases in brackets)")
+    axes.set(axisbelow=True, ylim=(0, 1), xlabel=label, ylabel="share below")
+    axes.set_title(f"{title}, 95 % band\n(number of cases in brackets)")
     across, up = figure.get_size_inches()
     figure.legend(
         axes.lines, names, loc="lower left", bbox_to_anchor=((left - 0.4) / across, (bottom - 0.45) / up),
         ncols=columns, columnspacing=1.0, borderaxespad=0, borderpad=0, labelspacing=0.35,
     )  # fmt: skip
+    return axes
+
+
+def _scale(axes: Axes, values: Mapping[str, NDArray[np.float64]]) -> None:
+    """Give the axis of values of cases powers of ten, or room where they are alike."""
+    lowest = min((float(one.min()) for one in values.values()), default=0.0)
+    if lowest > 0.0 and max(float(one.max()) for one in values.values()) > _FAR_APART * lowest:
+        axes.set_xscale("log")
+        number_powers(axes.xaxis)
+        return
+    low, high = axes.get_xlim()
+    middle = 0.5 * (low + high)
+    reach = max(0.5 * (high - low), 1e-3 * abs(middle))  # tables have three digits: alike is one line
+    axes.set_xlim(middle - reach, middle + reach)
 
 
 def _common_limits(panels: Sequence[Axes]) -> tuple[float, float]:
@@ -373,19 +393,21 @@ def _common_limits(panels: Sequence[Axes]) -> tuple[float, float]:
     return float(limits[:, 0].min()), float(limits[:, 1].max())
 
 
-def _draw_history(axes: Axes, population: Population, values: NDArray[np.float64]) -> None:
+def _draw_history(
+    axes: Axes, population: Population, time_s: NDArray[np.float64], values: NDArray[np.float64]
+) -> None:
     axes.grid(color=_GRID, lw=0.6)
     axes.set_axisbelow(True)
     if not len(population.cases):
         return
-    time = population.time_s[population.median_index]
     low, high = np.quantile(values, [0.05, 0.95], axis=0)
-    axes.fill_between(time, low, high, color="#999999", alpha=0.25, lw=0, label="90 % of the cases")
+    middle = time_s[population.median_index]
+    axes.fill_between(middle, low, high, color="#999999", alpha=0.25, lw=0, label="90 % of the cases")
     for index, name, color, line in (
         (population.median_index, "median", COLORS[0], "-"),
         (population.worst_index, "worst", COLORS[1], (0, (5, 1.5))),
     ):
         axes.plot(
-            population.time_s[index], values[index], color=color, ls=line, lw=1.3, marker="o", ms=3,
+            time_s[index], values[index], color=color, ls=line, lw=1.3, marker="o", ms=3,
             label=f"{name}: case {population.cases[index]}",
         )  # fmt: skip

@@ -19,11 +19,10 @@ from rich.text import Text
 from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
 from wavequake.report.answers import budget
-from wavequake.report.figures import COLORS, LINES, STYLE, one_panel
+from wavequake.report.figures import COLORS, LINES, STYLE, distributions, one_panel
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import quantile
-from wavequake.report.systems.figures import distributions
 from wavequake.report.table import empty_table, interval, number
 from wavequake.words import counted
 from wavequake.workflows import kinds

@@ -1,10 +1,9 @@
 """From a store to the populations of its report: one per disturbance model, without the cases that failed."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,85 +11,107 @@ from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE, STATUS_MEANINGS, TODO
 from wavequake.errors import UserError
-from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quantile
+from wavequake.report.statistics import Jitter, Quantile, jitter_of_cases, quantile
 
-_SERIES = ("wfe_rms", "wfe_rms_raw", "segment_piston_rms", "strehl", "los", "centroid")
-_VERDICTS = ("rayleigh", "marechal")
-_NEEDED = (*_SERIES, *_VERDICTS, "ee80", "peak", "time_s", "status", "disturbance")
+Array = NDArray[np.float64]
+
+_SERIES = ("wfe_rms", "wfe_rms_raw", "segment_piston_rms", "los")
+_MOTIONS = ("los", "centroid")
+_NEEDED = (*_SERIES, "marechal", "status", "disturbance")
+_OF_WHOLE = ("strehl", "centroid", "rayleigh", "ee80", "peak", "time_s")
+_MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
 
 
 @dataclass(frozen=True)
 class Population:
-    """Finished cases of one disturbance model: C cases of T instants; and how many cases it lacks.
+    """Finished cases of one disturbance model, a number per case each: C cases; and how many it lacks.
 
     Attributes
     ----------
     name : str
     cases : ndarray of int, shape (C,)
         Case ids.
-    time_s : ndarray, shape (C, T)
-    wfe, wfe_raw : ndarray, shape (C, T)
-        Wavefront error rms of each instant, nm: of the Zernike terms j >= 4, and over all rays on glass
+    whole : bool
+        Whether the store keeps images, and every instant of few enough: without, nothing is known of
+        jitter, ``strehl``, ``ee80``, ``peak`` and ``rayleigh``.
+    wfe, wfe_raw : ndarray, shape (C,)
+        Wavefront error, rms over the instants, nm: of the Zernike terms j >= 4, and over all rays on glass
         without piston.
-    segment_piston : ndarray, shape (C, T)
-        Rms over the segments of their displacement along the normal, nm.
-    los, centroid : ndarray, shape (C, T, 2)
-        Line of sight by Störkle 2018, Eq. (3.39), and center of irradiance, mas.
+    segment_piston : ndarray, shape (C,)
+        Rms over segments and instants of their displacement along the normal, nm.
+    los : ndarray, shape (C,)
+        Distance of the line of sight by Störkle 2018, Eq. (3.39), from rest, rms over the instants, mas.
+    los_about : ndarray, shape (C,)
+        The same about the mean of the population; not of a whole store as `los`.
+    los_jitter, centroid_jitter : Jitter
+        Of the line of sight, and of the center of irradiance, mas.
     strehl : ndarray, shape (C, T)
+        Of each instant.
     ee80 : ndarray, shape (C,)
         Radius of 80 % encircled energy, lambda/D; +inf beyond the frame.
     peak : ndarray, shape (C,)
         Largest irradiance of the exposure, which motion of the line of sight lowers, too.
     rayleigh, marechal : ndarray, shape (C,)
         Shares of a case's instants that are diffraction-limited by Störkle 2018, Eq. 3.54 and Eq. 3.55.
-    quarantined, todo, incomplete : int
-        Cases left out: failed, not computed yet, and marked done though a number is missing.
+    quarantined, todo : int
+        Cases left out: failed, and not computed yet.
+    incomplete : ndarray of int
+        Rows of the store that are left out: marked done though a number is missing.
     sets : ndarray of int, shape (C,), or None
         The stratified set that each case belongs to; None if all are independent.
     frame : float
         Half the width of the images, lambda/D.
+    model : (float, str) or None
+        The rms that the disturbance implies by its definition, and its unit: ``mas`` of the line of sight
+        (both axes together) or ``nm`` of the segments along their normals.
     """
 
     name: str
     cases: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    wfe: NDArray[np.float64]
-    wfe_raw: NDArray[np.float64]
-    segment_piston: NDArray[np.float64]
-    los: NDArray[np.float64]
-    centroid: NDArray[np.float64]
-    strehl: NDArray[np.float64]
-    ee80: NDArray[np.float64]
-    peak: NDArray[np.float64]
-    rayleigh: NDArray[np.float64]
-    marechal: NDArray[np.float64]
+    whole: bool
+    wfe: Array
+    wfe_raw: Array
+    segment_piston: Array
+    los: Array
+    los_about: Array
+    los_jitter: Jitter
+    centroid_jitter: Jitter
+    strehl: Array
+    ee80: Array
+    peak: Array
+    rayleigh: Array
+    marechal: Array
     quarantined: int
     todo: int
-    incomplete: int
+    incomplete: NDArray[np.int64]
     sets: NDArray[np.int64] | None = None
     frame: float = np.nan
+    model: tuple[float, str] | None = None
 
-    @cached_property
-    def severity(self) -> NDArray[np.float64]:
+    def quantile(self, values: Array, probability: float) -> Quantile:
+        """Return a quantile over the cases, or over the instants of all of them."""
+        return quantile(values, probability, len(self.cases), self.sets)
+
+    def model_in(self, unit: str) -> float:
+        """Return what the disturbance implies in this unit; NaN where that is not known."""
+        return self.model[0] if self.model and self.model[1] == unit else np.nan
+
+    @property
+    def severity(self) -> Array:
         """What ranks the cases, shape (C,); :attr:`ranked_by` says what it is.
 
         The WFE on glass (rms over the instants, nm), unless the cases differ in it by less than 1 %, as where
         only the mount moves: then the line of sight about the mean of the population (rms over the instants,
         mas).
         """
-        return self._los_rms if self.ranked_by == "LOS" else case_rms(self.wfe_raw)
+        return self.los_about if self.ranked_by == "LOS" else self.wfe_raw
 
     @cached_property
     def ranked_by(self) -> str:
         """``"WFE on glass"`` or ``"LOS"``."""
-        wfe = case_rms(self.wfe_raw)
-        return (
-            "LOS" if len(wfe) and np.ptp(wfe) < 0.01 * wfe.max() and self._los_rms.any() else "WFE on glass"
-        )
-
-    @property
-    def _los_rms(self) -> NDArray[np.float64]:
-        return case_rms(np.linalg.norm(self.los - self.los.mean(axis=(0, 1)), axis=2))
+        wfe = self.wfe_raw
+        alike = len(wfe) > 0 and np.ptp(wfe) < 0.01 * wfe.max()
+        return "LOS" if alike and self.los_about.any() else "WFE on glass"
 
     @property
     def median_index(self) -> int:
@@ -104,36 +125,15 @@ class Population:
 
 
 @dataclass(frozen=True)
-class Summary:
-    """One row of the report's table; units as in :class:`Population`.
+class Histories:
+    """The instants of a population's cases: time, s, WFE on glass, nm, and line of sight, mas.
 
-    ``los_model`` and ``segment_piston_model`` are what the disturbance's parameters imply, where known;
-    ``peak_least`` and ``wfe_raw_most`` are those of the worst case, ``frame`` half the width of images.
+    Their shapes are (C, T), (C, T), (C, T, 2).
     """
 
-    name: str
-    cases: int
-    quarantined: int
-    todo: int
-    incomplete: int
-    wfe_raw_p50: Quantile
-    wfe_raw_p95: Quantile
-    wfe_p50: Quantile
-    wfe_p95: Quantile
-    los_jitter: Jitter
-    centroid_jitter: Jitter
-    los_model: float | None
-    segment_piston: float
-    segment_piston_model: float | None
-    strehl_p5: Quantile
-    strehl_p50: Quantile
-    ee80_p50: Quantile
-    peak_p5: Quantile
-    rayleigh: float
-    marechal: float
-    frame: float = np.nan
-    peak_least: float = np.nan
-    wfe_raw_most: float = np.nan
+    time_s: Array
+    wfe_raw: Array
+    los: Array
 
 
 @dataclass(frozen=True)
@@ -147,18 +147,44 @@ class Excluded:
     message: str
 
 
-def populations(dataset: xr.Dataset) -> tuple[Population, ...]:
+def is_whole(dataset: xr.Dataset) -> bool:
+    """Return whether a store has images, and instants that are few enough to be in memory together."""
+    series = dataset["wfe_rms"]
+    return "exposure" in dataset and "time" in series.dims and series.size <= _MOST_INSTANTS
+
+
+def populations(
+    dataset: xr.Dataset, models: Mapping[str, tuple[float, str]] | None = None
+) -> tuple[Population, ...]:
     """Split a store by disturbance, in the order in which the disturbances first appear.
+
+    Of each series one number per case is read, chunk by chunk. `models` are the populations' ``model``.
 
     Raises
     ------
     UserError
         If the dataset is not that of a segment-disturbance campaign.
     """
-    arrays = _arrays(dataset)
-    arrays["frame"] = np.array(frame_of(dataset))
-    names = list(dict.fromkeys(arrays["disturbance"].tolist()))
-    return tuple(_population(str(name), arrays) for name in names)
+    numbers = _numbers(dataset)
+    names, frame = numbers["disturbance"].to_numpy(), frame_of(dataset)
+    usable = _usable(numbers)
+    return tuple(
+        _population(str(name), numbers, usable, frame, (models or {}).get(str(name)))
+        for name in dict.fromkeys(names.tolist())
+    )
+
+
+def histories_of(dataset: xr.Dataset, population: Population) -> Histories:
+    """Read the instants of a population from a whole store, or from what of it holds its cases once."""
+    ids = dataset["case"].to_numpy() if "case" in dataset.coords else np.arange(dataset.sizes["case"])
+    part = dataset.isel(case=np.flatnonzero(np.isin(ids, population.cases)))
+    time = part["time_s"].broadcast_like(part["wfe_rms_raw"]).transpose("case", "time").to_numpy()
+    kept = np.isfinite(time).any(axis=0)
+    wfe, los = (
+        part[name].transpose("case", "time", ...).to_numpy()[:, kept].astype(np.float64)
+        for name in ("wfe_rms_raw", "los")
+    )
+    return Histories(time[:, kept], wfe, los)
 
 
 def frame_of(dataset: xr.Dataset) -> float:
@@ -172,57 +198,16 @@ def frame_of(dataset: xr.Dataset) -> float:
         return np.nan
 
 
-def representatives(dataset: xr.Dataset) -> dict[str, tuple[int, int]]:
+def representatives(found: Iterable[Population]) -> dict[str, tuple[int, int]]:
     """Return the ids of the median and the worst case of each disturbance, those worth recomputing in full.
 
     A disturbance without finished cases has no entry.
     """
     return {
-        population.name: (
-            int(population.cases[population.median_index]),
-            int(population.cases[population.worst_index]),
-        )
-        for population in populations(dataset)
-        if len(population.cases)
+        one.name: (int(one.cases[one.median_index]), int(one.cases[one.worst_index]))
+        for one in found
+        if len(one.cases)
     }
-
-
-def summarize(population: Population, analytic: tuple[float, str] | None = None) -> Summary:
-    """Reduce a population to one row of the table.
-
-    The wavefront error of a case is the rms over its instants; its quantiles are over cases. Strehl quantiles
-    are over the instants of all cases. `analytic` is the rms that the disturbance model implies, if it is
-    known, and its unit: ``mas`` of the line of sight (radial) or ``nm`` of the segments along their normals.
-    """
-    cases = len(population.cases)
-    value, unit = analytic or (0.0, "")
-    raw, fitted = case_rms(population.wfe_raw), case_rms(population.wfe)
-    sets = population.sets
-    return Summary(
-        name=population.name,
-        cases=cases,
-        quarantined=population.quarantined,
-        todo=population.todo,
-        incomplete=population.incomplete,
-        wfe_raw_p50=quantile(raw, 0.50, sets=sets),
-        wfe_raw_p95=quantile(raw, 0.95, sets=sets),
-        wfe_p50=quantile(fitted, 0.50, sets=sets),
-        wfe_p95=quantile(fitted, 0.95, sets=sets),
-        los_jitter=jitter(population.los, sets),
-        centroid_jitter=jitter(population.centroid, sets),
-        los_model=value if unit == "mas" else None,
-        segment_piston=float(np.sqrt(np.mean(population.segment_piston**2))) if cases else np.nan,
-        segment_piston_model=value if unit == "nm" else None,
-        strehl_p5=quantile(population.strehl, 0.05, cases, sets),
-        strehl_p50=quantile(population.strehl, 0.50, cases, sets),
-        ee80_p50=quantile(population.ee80, 0.50, sets=sets),
-        peak_p5=quantile(population.peak, 0.05, sets=sets),
-        rayleigh=float(population.rayleigh.mean()) if cases else np.nan,
-        marechal=float(population.marechal.mean()) if cases else np.nan,
-        frame=population.frame,
-        peak_least=float(population.peak.min()) if cases else np.nan,
-        wfe_raw_most=float(raw.max()) if cases else np.nan,
-    )
 
 
 def nothing_known(failed: Mapping[str, int]) -> str:
@@ -236,10 +221,11 @@ def nothing_known(failed: Mapping[str, int]) -> str:
     return f"Of {' and '.join(names)} nothing is known: {words} failed. "
 
 
-def excluded(dataset: xr.Dataset) -> list[Excluded]:
+def excluded(dataset: xr.Dataset, found: Sequence[Population], most: int | None = None) -> list[Excluded]:
     """Return the cases that are in no statistic although computed: quarantined, or with a number missing."""
-    arrays = _arrays(dataset)
-    return left_out(dataset, missing=(arrays["status"] == DONE) & ~arrays["usable"])
+    missing = np.zeros(dataset.sizes["case"], dtype=bool)
+    missing[np.concatenate([one.incomplete for one in found])] = True
+    return left_out(dataset, most=most, missing=missing)
 
 
 def left_out(
@@ -271,65 +257,99 @@ def left_out(
     ]
 
 
-def _arrays(dataset: xr.Dataset) -> dict[str, NDArray[Any]]:
-    """Load what the statistics need, with the case first, and tell which cases they may use."""
-    missing = [name for name in _NEEDED if name not in dataset]
+def _numbers(dataset: xr.Dataset) -> xr.Dataset:
+    """Read what statistics need: of each series one number per case, NaN where an instant has none."""
+    whole = is_whole(dataset) if "wfe_rms" in dataset else False
+    needed = (*_NEEDED, *(_OF_WHOLE if whole else ()))
+    missing = [name for name in needed if name not in dataset]
     if missing:
         raise UserError(f"The store has no {missing[0]!r}, so it is not one that this report can be made of.")
-    arrays = {name: dataset[name].transpose("case", ...).to_numpy() for name in _NEEDED if name != "time_s"}
-    arrays["time_s"] = (
-        dataset["time_s"].broadcast_like(dataset["strehl"]).transpose("case", "time").to_numpy()
-    )
-    arrays["case"] = (
-        dataset["case"].to_numpy() if "case" in dataset.coords else np.arange(dataset.sizes["case"])
-    )
-    if "replicate" in dataset.coords:
-        arrays["replicate"] = dataset["replicate"].to_numpy()
-    arrays["usable"] = _usable(arrays)
-    return arrays
+    if "case" not in dataset.coords:
+        dataset = dataset.assign_coords(case=np.arange(dataset.sizes["case"]))
+    kept = [name for name in (*needed, "replicate") if name in dataset.variables]
+    found = dataset[[name for name in kept if name not in (*_SERIES, *_MOTIONS, "time_s")]]
+    if "time" not in dataset["wfe_rms"].dims:
+        series = {name: dataset[name].sel(statistic="rms", drop=True) for name in _SERIES}
+        return found.assign({name: one.astype(np.float64) for name, one in series.items()}).load()
+    # Populations of fewer instants than the longest one end in NaN.
+    instants = dataset["time_s"].broadcast_like(dataset["wfe_rms"]).notnull()
+    count = instants.sum("time")
+
+    def mean(values: xr.DataArray) -> xr.DataArray:
+        total = values.astype(np.float64).where(instants, 0.0).sum("time", skipna=False)
+        return total / count.where(count > 0)
+
+    for name in _SERIES:
+        squares = dataset[name].astype(np.float64) ** 2
+        squares = squares.sum("axis", skipna=False) if "axis" in squares.dims else squares
+        found[name] = mean(squares) ** 0.5
+    for name in _MOTIONS if whole else ():
+        found[f"{name}_mean"] = mean(dataset[name])
+        found[f"{name}_variance"] = mean((dataset[name] - found[f"{name}_mean"]) ** 2)
+    if whole:
+        found["strehl_mean"] = mean(dataset["strehl"])
+    return found.assign(instants=count).load()
 
 
-def _usable(arrays: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
+def _usable(numbers: xr.Dataset) -> NDArray[np.bool_]:
     """Tell which cases are done and whole: no number missing, and as many instants as their population has.
 
-    Populations of fewer instants than the longest one end in NaN; an infinite EE80 is a number.
+    An infinite EE80 is a number.
     """
-    instants = np.isfinite(arrays["time_s"])
-    whole: NDArray[np.bool_] = (
-        (arrays["status"] == DONE) & ~np.isnan(arrays["ee80"]) & ~np.isnan(arrays["peak"])
-    )
-    for name in _SERIES:
-        finite = np.isfinite(arrays[name]).reshape(*instants.shape, -1).all(axis=2)
-        whole &= (finite | ~instants).all(axis=1)
-    count = np.where(whole, instants.sum(axis=1), 0)
-    for name in set(arrays["disturbance"].tolist()):
-        mine = arrays["disturbance"] == name
-        whole[mine] &= (count[mine] == count[mine].max()) & (count[mine] > 0)
+    whole: NDArray[np.bool_] = numbers["status"].to_numpy() == DONE
+    for name in (*_SERIES, *(f"{name}_mean" for name in (*_MOTIONS, "strehl")), "ee80", "peak"):
+        if name in numbers:
+            found = numbers[name].transpose("case", ...).to_numpy()
+            whole &= ~np.isnan(found).reshape(len(whole), -1).any(axis=1)
+    if "instants" in numbers:
+        count, names = np.where(whole, numbers["instants"], 0), numbers["disturbance"].to_numpy()
+        for name in set(names.tolist()):
+            mine = names == name
+            whole[mine] &= (count[mine] == count[mine].max()) & (count[mine] > 0)
     return whole
 
 
-def _population(name: str, arrays: dict[str, NDArray[Any]]) -> Population:
-    mine, status = arrays["disturbance"] == name, arrays["status"]
-    usable = mine & arrays["usable"]
-    instants = np.isfinite(arrays["time_s"][usable]).any(axis=0)
-    series = {key: arrays[key][usable][:, instants].astype(np.float64) for key in (*_SERIES, "time_s")}
+def _population(
+    name: str,
+    numbers: xr.Dataset,
+    usable: NDArray[np.bool_],
+    frame: float,
+    model: tuple[float, str] | None,
+) -> Population:
+    mine, status = numbers["disturbance"].to_numpy() == name, numbers["status"].to_numpy()
+    part = numbers.isel(case=np.flatnonzero(mine & usable))
+    whole = "strehl" in numbers
+    sets = part["replicate"].to_numpy() if "replicate" in part.variables else None
+
+    def of(key: str) -> Array:
+        """Return numbers of the finished cases (case, ...); none of what the store has not."""
+        return part[key].transpose("case", ...).to_numpy().astype(np.float64) if key in part else np.empty(0)
+
+    means, variances = ([of(f"{key}_{what}") for key in _MOTIONS] for what in ("mean", "variance"))
+    known = whole and part.sizes["case"] > 0
+    sight, centroid = (jitter_of_cases(*one, sets) for one in zip(means, variances, strict=True))
+    away = (means[0] - means[0].mean(axis=0)) ** 2 + variances[0] if known else of("los")[:, None] ** 2
+    strehl = of("strehl")
     return Population(
         name=name,
-        cases=arrays["case"][usable].astype(np.int64),
-        time_s=series["time_s"],
-        wfe=series["wfe_rms"],
-        wfe_raw=series["wfe_rms_raw"],
-        segment_piston=series["segment_piston_rms"],
-        los=series["los"],
-        centroid=series["centroid"],
-        strehl=series["strehl"],
-        ee80=arrays["ee80"][usable].astype(np.float64),
-        peak=arrays["peak"][usable].astype(np.float64),
-        rayleigh=arrays["rayleigh"][usable].astype(np.float64),
-        marechal=arrays["marechal"][usable].astype(np.float64),
+        cases=part["case"].to_numpy().astype(np.int64),
+        whole=whole,
+        wfe=of("wfe_rms"),
+        wfe_raw=of("wfe_rms_raw"),
+        segment_piston=of("segment_piston_rms"),
+        los=of("los"),
+        los_about=np.sqrt(away.sum(axis=1)),
+        los_jitter=sight,
+        centroid_jitter=centroid,
+        strehl=strehl[:, : int(part["instants"].max())] if known else strehl,
+        ee80=of("ee80"),
+        peak=of("peak"),
+        rayleigh=of("rayleigh"),
+        marechal=of("marechal"),
         quarantined=int(np.count_nonzero(mine & (status > DONE))),
         todo=int(np.count_nonzero(mine & (status == TODO))),
-        incomplete=int(np.count_nonzero(mine & (status == DONE) & ~usable)),
-        sets=arrays["replicate"][usable] if "replicate" in arrays else None,
-        frame=float(arrays["frame"]),
+        incomplete=np.flatnonzero(mine & (status == DONE) & ~usable),
+        sets=sets,
+        frame=frame,
+        model=model,
     )

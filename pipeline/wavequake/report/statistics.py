@@ -26,7 +26,7 @@ __all__ = [
     "Quantile",
     "case_rms",
     "distribution",
-    "jitter",
+    "jitter_of_cases",
     "quantile",
     "quantile_ranks",
 ]
@@ -113,7 +113,9 @@ def case_rms(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=1)))
 
 
-def jitter(los: NDArray[np.float64], sets: NDArray[np.int64] | None = None) -> Jitter:
+def jitter_of_cases(
+    means: NDArray[np.float64], variances: NDArray[np.float64], sets: NDArray[np.int64] | None = None
+) -> Jitter:
     """Return the rms of the line of sight over cases and instants about one mean per axis.
 
     The mean that is removed is that of the whole population, over its cases *and* instants: what all of them
@@ -122,26 +124,13 @@ def jitter(los: NDArray[np.float64], sets: NDArray[np.int64] | None = None) -> J
 
     Parameters
     ----------
-    los : ndarray, shape (case, time, 2)
-    sets : ndarray of int, shape (case,), optional
-        The stratified set that each case belongs to.
-    """
-    if not los.size:
-        return Jitter(np.full(2, np.nan), np.nan, np.nan)
-    return jitter_of_cases(los.mean(axis=1), los.var(axis=1), sets)
-
-
-def jitter_of_cases(
-    means: NDArray[np.float64], variances: NDArray[np.float64], sets: NDArray[np.int64] | None = None
-) -> Jitter:
-    """Return the :func:`jitter` from mean and variance over the instants, as many in each case.
-
-    Parameters
-    ----------
     means, variances : ndarray, shape (case, 2)
+        Over the instants, as many in each case.
     sets : ndarray of int, shape (case,), optional
         The stratified set that each case belongs to.
     """
+    if not means.size:
+        return Jitter(np.full(2, np.nan), np.nan, np.nan)
     squares = variances + np.square(means - means.mean(axis=0))
     which = np.arange(len(means)) if sets is None else np.unique(sets, return_inverse=True)[1]
     count = np.bincount(which)

@@ -5,25 +5,37 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from wavequake.report.populations import Summary
+    from wavequake.report.populations import Population
     from wavequake.report.statistics import Jitter, Quantile
+
+Array = NDArray[np.float64]
 
 MISSING = "–"
 Row = Mapping[str, tuple[str, str]]
 
-_CAPTION = (
-    "WFE: rms of a case over its instants; P50 and P95 over cases, in brackets the 95 % "
-    "confidence interval (≤, ≥: too few cases for both bounds). LOS: rms of both axes about the mean of all "
-    "cases and instants, ± standard error; segments: rms along their normals; in brackets what the model "
-    "implies. Strehl: over all instants. "
-    "EE80: median over cases. Peak: of the exposure over the perfect one, line of sight included; 5 % of "
-    "the cases are below. Rayleigh, Maréchal: share of instants with a peak to valley of at most λ/4, "
-    "with an rms of at most λ/14, piston and tilt removed."
+_LEVELS = ((0.5, "P50"), (0.95, "P95"), (0.999, "P99.9"))
+_WFE = (
+    "WFE: rms of a case over its instants; {} over cases, in brackets the 95 % confidence interval (≤, ≥: "
+    "too few cases for both bounds)."
+)
+_LAST = ("EE80 P50 (λ/D)", "peak P5", "Rayleigh")
+OF_WHOLE = (
+    "LOS: rms of both axes about the mean of all cases and instants, ± standard error; segments: rms along "
+    "their normals; in brackets what the model implies. Strehl: over all instants. EE80: median over cases. "
+    "Peak: of the exposure over the perfect one, line of sight included; 5 % of the cases are below. "
+    "Rayleigh, Maréchal: share of instants with a peak to valley of at most λ/4, with an rms of at most "
+    "λ/14, piston and tilt removed."
+)
+OF_OTHERS = (
+    "LOS: rms of a case over its instants, the distance from rest; segments: rms along their normals, "
+    "in brackets what the model implies. "
+    "Maréchal: share of instants with an rms of at most λ/14, piston and tilt removed."
 )
 
 
@@ -75,11 +87,6 @@ def radius(value: float, frame: float, digits: int = 3) -> str:
     return beyond if np.isposinf(value) else number(value, digits)
 
 
-def rows(summaries: "Iterable[Summary]") -> list[dict[str, tuple[str, str]]]:
-    """Return one dict per disturbance: header with unit -> (value, its uncertainty or remark), all text."""
-    return [_row(summary) for summary in summaries]
-
-
 def empty_table(
     headers: Iterable[str], words: Container[str] | None = None, *, fixed: bool = False, **style: Any
 ) -> Table:
@@ -118,34 +125,47 @@ def rows_of(table: Table) -> list[dict[str, tuple[str, str]]]:
     return [{header: (one, "") for header, one in zip(headers, row, strict=True)} for row in cells]
 
 
-def _row(summary: "Summary") -> dict[str, tuple[str, str]]:
-    return {
-        "disturbance": (summary.name, ""),
-        "cases": (str(summary.cases), _left_out(summary)),
-        "WFE on glass P50 (nm)": _quantile(summary.wfe_raw_p50),
-        "WFE on glass P95 (nm)": _quantile(summary.wfe_raw_p95),
-        "WFE j\u00a0≥\u00a04 P50 (nm)": _quantile(summary.wfe_p50),
-        "WFE j\u00a0≥\u00a04 P95 (nm)": _quantile(summary.wfe_p95),
-        "LOS jitter (mas)": _jitter(summary.los_jitter),
-        "LOS model (mas)": (_model(summary.los_model), ""),
-        "segments (nm)": (number(summary.segment_piston), ""),
-        "segments model (nm)": (_model(summary.segment_piston_model), ""),
-        "centroid jitter (mas)": _jitter(summary.centroid_jitter),
-        "Strehl P5": _quantile(summary.strehl_p5, 4),
-        "Strehl P50": _quantile(summary.strehl_p50, 4),
-        "EE80 P50 (λ/D)": _radius(summary),
-        "peak P5": _quantile(summary.peak_p5),
-        "Rayleigh": (share(summary.rayleigh), ""),
-        "Maréchal": (share(summary.marechal), ""),
+def row_of(one: "Population") -> dict[str, tuple[str, str]]:
+    """Return header with unit -> (value, its uncertainty or remark) of a disturbance, all text."""
+    row = {"disturbance": (one.name, ""), "cases": (str(len(one.cases)), _left_out(one))}
+    named = [("WFE on glass {} (nm)", one.wfe_raw), ("WFE j\u00a0≥\u00a04 {} (nm)", one.wfe)]
+    for header, values in [*named, *([] if one.whole else [("LOS {} (mas)", one.los)])]:
+        for p, label in levels(one.whole):
+            row[header.format(label)] = _quantile(one.quantile(values, p))
+    if one.whole:
+        row["LOS jitter (mas)"] = _jitter(one.los_jitter)
+        row["LOS model (mas)"] = number(one.model_in("mas")), ""
+    row |= {
+        "segments (nm)": (number(_rms(one.segment_piston)), ""),
+        "segments model (nm)": (number(one.model_in("nm")), ""),
     }
+    if one.whole:
+        row |= {
+            "centroid jitter (mas)": _jitter(one.centroid_jitter),
+            "Strehl P5": _quantile(one.quantile(one.strehl, 0.05), 4),
+            "Strehl P50": _quantile(one.quantile(one.strehl, 0.5), 4),
+            "EE80 P50 (λ/D)": _radius(one),
+            "peak P5": _quantile(one.quantile(one.peak, 0.05)),
+            "Rayleigh": (share(_mean(one.rayleigh)), ""),
+        }
+    return {**row, "Maréchal": (share(_mean(one.marechal)), "")}
 
 
-def _model(value: float | None) -> str:
-    return MISSING if value is None else number(value)
+def levels(whole: bool) -> tuple[tuple[float, str], ...]:
+    """Return the percentiles of wavefront errors that tables show, with their names."""
+    return _LEVELS[:2] if whole else _LEVELS
 
 
-def _left_out(summary: "Summary", before: str = "") -> str:
-    counts = {"quarantined": summary.quarantined, "to do": summary.todo, "incomplete": summary.incomplete}
+def _mean(values: Array) -> float:
+    return float(values.mean()) if values.size else np.nan
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(_mean(np.square(values))))
+
+
+def _left_out(one: "Population", before: str = "") -> str:
+    counts = {"quarantined": one.quarantined, "to do": one.todo, "incomplete": len(one.incomplete)}
     words = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     return before + words if words else ""
 
@@ -154,49 +174,49 @@ def _quantile(quantile: "Quantile", digits: int = 3) -> tuple[str, str]:
     return number(quantile.value, digits), "" if np.isnan(quantile.value) else interval(quantile, digits)
 
 
-def _radius(summary: "Summary") -> tuple[str, str]:
-    found = summary.ee80_p50
+def _radius(one: "Population") -> tuple[str, str]:
+    found = one.quantile(one.ee80, 0.5)
     value, remark = _quantile(found, 4)
     if not np.isposinf(found.value):
         return value, remark
-    return radius(found.value, summary.frame), remark if np.isfinite(found.low) else ""
+    return radius(found.value, one.frame), remark if np.isfinite(found.low) else ""
 
 
 def _jitter(jitter: "Jitter") -> tuple[str, str]:
-    return number(jitter.radial), f"± {number(jitter.standard_error, 2)}" if np.isfinite(
-        jitter.standard_error
-    ) else ""
+    known = np.isfinite(jitter.standard_error)
+    return number(jitter.radial), f"± {number(jitter.standard_error, 2)}" if known else ""
 
 
-def terminal_table(summaries: "Iterable[Summary]") -> Table:
+def terminal_table(found: "Sequence[Population]") -> Table:
     """Return the table for a terminal: a few lines per disturbance, which fit 80 columns."""
-    names = ("disturbance\ncases", "")
+    whole = any(one.whole for one in found)
+    names, labels = ("disturbance\ncases", ""), [label for _, label in levels(whole)]
     numbers = "WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)", "segments\nrms (nm)", "LOS rms\n(mas)"
-    more = "Strehl\nP50, P5\nMaréchal", "EE80 (λ/D)\npeak P5\nRayleigh"
+    more = ("Strehl\nP50, P5\nMaréchal", "EE80 (λ/D)\npeak P5\nRayleigh") if whole else ("Maréchal",)
+    caption = f"{_WFE.format(', '.join(labels))} {OF_WHOLE if whole else OF_OTHERS}"
     headers = (*names, *numbers, *more)
-    table = empty_table(headers, names, fixed=True, padding=0, pad_edge=False, caption=_CAPTION)
-    for summary in summaries:
-        jitter, error = _jitter(summary.los_jitter)
-        model = "" if summary.los_model is None else f"\n({number(summary.los_model)})"
-        segments = summary.segment_piston_model
+    table = empty_table(headers, names, fixed=True, padding=0, pad_edge=False, caption=caption)
+    for one in found:
+        row = row_of(one)
+        name = ("\n".join(textwrap.wrap(one.name, 15)), "bold")
+        raw, fitted, los, strehl = (
+            [cell for header, cell in row.items() if header.startswith(start)]
+            for start in ("WFE on glass", "WFE j", "LOS P", "Strehl")
+        )
+        sight = "\n".join([value for value, _ in los] or row["LOS jitter (mas)"])
+        marechal = row["Maréchal"][0]
         table.add_row(
-            Text.assemble(
-                ("\n".join(textwrap.wrap(summary.name, 15)), "bold"),
-                f"\n{summary.cases}",
-                (_left_out(summary, "\n"), "yellow"),
-            ),
-            "P50\nP95",
-            f"{_with_interval(summary.wfe_raw_p50)}\n{_with_interval(summary.wfe_raw_p95)}",
-            f"{number(summary.wfe_p50.value)}\n{number(summary.wfe_p95.value)}",
-            number(summary.segment_piston) + ("" if segments is None else f"\n({number(segments)})"),
-            f"{jitter}\n{error}{model}",
-            f"{number(summary.strehl_p50.value, 4)}\n{number(summary.strehl_p5.value, 4)}\n"
-            f"{share(summary.marechal)}",
-            f"{_radius(summary)[0]}\n{number(summary.peak_p5.value)}\n{share(summary.rayleigh)}",
+            Text.assemble(name, f"\n{len(one.cases)}", (_left_out(one, "\n"), "yellow")),
+            "\n".join(labels),
+            "\n".join(value if small in ("", MISSING) else f"{value} ({small})" for value, small in raw),
+            "\n".join(value for value, _ in fitted),
+            row["segments (nm)"][0] + _implied(row["segments model (nm)"][0]),
+            sight + (_implied(row["LOS model (mas)"][0]) if whole else ""),
+            "\n".join([*(value for value, _ in strehl[::-1]), marechal]),
+            *(["\n".join(row[key][0] for key in _LAST)] if whole else []),
         )
     return table
 
 
-def _with_interval(quantile: "Quantile") -> str:
-    value, remark = _quantile(quantile)
-    return value if remark in ("", MISSING) else f"{value} ({remark})"
+def _implied(model: str) -> str:
+    return "" if model == MISSING else f"\n({model})"

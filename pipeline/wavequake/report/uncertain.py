@@ -1,15 +1,13 @@
 """How much of a result's variance is what is not known of the structure, and how much is excitation."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE
 from wavequake.campaign.statistics.parted import Parted, parted
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, one_panel
 from wavequake.report.page import Picture, picture
@@ -27,32 +25,24 @@ class PartedResult:
 
 
 def parted_results(
-    dataset: xr.Dataset, quantities: Mapping[str, Array], of: NDArray[np.bool_] | None = None
+    populations: Iterable[tuple[str, Mapping[str, Array], NDArray[np.int64] | None]],
 ) -> list[PartedResult]:
     """Return the parts for all disturbances; none where models are known, or no cases share one.
 
     Parameters
     ----------
-    dataset : xarray.Dataset
-        Whose coordinate ``replicate`` says which cases share a model.
-    quantities : mapping of str to ndarray, shape (case, place)
-        Of every disturbance the worst place counts.
-    of : ndarray of bool, shape (case,), optional
-        The cases that count, of those that are done.
+    populations : iterable of (str, mapping of str to ndarray of shape (C, place), ndarray of shape (C,))
+        Of each disturbance its name, numbers of its cases by what they are, of which the worst place counts,
+        and which cases share a model; None where that is not said.
     """
-    done = dataset["status"].to_numpy() == DONE
-    done = done if of is None else done & of
-    names, models = dataset["disturbance"].to_numpy(), dataset["replicate"].to_numpy()
     found = []
-    for name in dict.fromkeys(names.tolist()):
-        rows = np.flatnonzero(done & (names == name))
+    for name, quantities, models in populations:
         for words, values in quantities.items():
-            if not len(rows):
+            if models is None or not len(values):
                 continue
-            worst = values[rows, int(values[rows].mean(axis=0).argmax())]
-            parts = parted(worst, models[rows])
+            parts = parted(values[:, int(values.mean(axis=0).argmax())], models)
             if parts is not None:
-                found.append(PartedResult(str(name), words, parts))
+                found.append(PartedResult(name, words, parts))
     return found
 
 

@@ -14,9 +14,9 @@ from wavequake.drawing.solid import stretched, system_scene
 from wavequake.optics.catalog.names import optical_system
 from wavequake.viewer.chosen import some_cases
 from wavequake.viewer.film import Array, Stage, Take, stage_of
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.lens import experiment as lens_experiment
 from wavequake.workflows.lens import passive as lens_passive
-from wavequake.workflows.lens.bench import study_of
 
 _MOST_INSTANTS = 400
 _MOST_CASES = 2

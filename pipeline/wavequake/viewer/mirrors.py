@@ -20,10 +20,10 @@ from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
 from wavequake.workflows.exposures.mirror_exposure import local_images
 from wavequake.workflows.mirrors.bench import (
     Bench,
-    any_study_of,
     bench_of,
     cases_of,
     over_time,
+    study_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.model_store import shown_name
@@ -43,7 +43,7 @@ def film_of(
     dataset: xr.Dataset, manifest: Manifest, chosen: Sequence[int], tell: Callable[[str], None]
 ) -> tuple[tuple[Stage, ...], tuple[Take, ...]]:
     """Return a stage for every variant, and its modes and excitations."""
-    study = any_study_of(manifest.study)
+    study = study_of(manifest.study)
     every = cases_of(study)
     others = [k for k, (_, variant) in enumerate(every) if variant not in (FULL, _reference(study))]
     cases = list(chosen) or some_cases(dataset, others)

@@ -16,6 +16,8 @@ from wavequake.viewer.chosen import some_cases
 from wavequake.viewer.film import Array, Stage, Take, map_of, over_pupil
 from wavequake.viewer.mirrors import mode_takes, modes_of, side_by_side
 from wavequake.viewer.segments import figures_on, stage_of_telescope
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.mirrors.segment_body import variant_of
 from wavequake.workflows.segments.images import instant_images
 from wavequake.workflows.segments.mor import (
     SHAKEN,
@@ -31,8 +33,6 @@ from wavequake.workflows.segments.mor_bench import (
     chosen_segments,
     model_of,
     motions,
-    reduced,
-    study_of,
     traced_instants,
 )
 
@@ -54,7 +54,7 @@ def film_of(
         for case in cases:
             disturbed, variant = every[case]
             label = f"case {case}, {SHAKEN[disturbed]}, {variant}"
-            small = model.reference if variant == reference else reduced(model, variant)
+            small = model.reference if variant == reference else variant_of(model, variant)
             which = chosen_segments(study, model.bench, disturbed)
             moved = motions(study, model, small, which.tolist())
             time = study.time.seconds[traced_instants(study)]

@@ -22,8 +22,7 @@ from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.report.at_hand import device_at_hand
-from wavequake.report.populations import representatives
-from wavequake.report.segments.report import is_reduced
+from wavequake.report.populations import is_whole, populations, representatives
 from wavequake.viewer.chosen import worst_cases
 from wavequake.viewer.film import Array, Map, Stage, Take, map_of, over_pupil, stage_of
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of
@@ -59,8 +58,8 @@ def _worst(dataset: xr.Dataset) -> list[int]:
     Of several field points and wavelengths it is that at the first ones, which is what is shown.
     """
     dataset = dataset.isel({dim: 0 for dim in ("field", "wavelength") if dim in dataset.dims})
-    if not is_reduced(dataset):
-        return [worst for _, worst in representatives(dataset).values()]
+    if is_whole(dataset):
+        return [worst for _, worst in representatives(populations(dataset)).values()]
     error = dataset["wfe_rms_raw"]
     if "statistic" in error.dims:
         error = error.sel(statistic="rms")

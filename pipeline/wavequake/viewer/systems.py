@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.store.store import Manifest
 from wavequake.drawing.solid import system_scene
 from wavequake.mechanics.assembly.answers import watching
-from wavequake.mechanics.disturbances.element_motion import ElementMotion
+from wavequake.mechanics.disturbances.motion import Motion
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.system import States
@@ -102,7 +102,7 @@ def _take(
 def take_of(
     bench: SystemBench,
     stored: xr.Dataset,
-    drawn: ElementMotion,
+    drawn: Motion,
     label: str,
     stage: Stage,
     surfaces: list[int],

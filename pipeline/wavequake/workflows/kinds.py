@@ -4,9 +4,11 @@ import difflib
 import json
 from collections.abc import Iterator
 from importlib import import_module
+from typing import Any
 
 from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.extra import with_extra
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.registry import entry_points, note_own
 
@@ -84,6 +86,11 @@ def find_kind(name: str) -> StudyKind:
         f"there is no workflow {name!r}{hint} Choose one of {', '.join(kind_names())}; one of your own is "
         "loaded with --plugin FILE."
     )
+
+
+def study_of(text: str) -> Any:
+    """Return the study of an identity text, by the model of its kind."""
+    return study_from_identity(find_kind(json.loads(text)["study"]["workflow"]).model, text)
 
 
 def compared_labels(study: str) -> tuple[str, ...]:

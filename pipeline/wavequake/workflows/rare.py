@@ -2,29 +2,18 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from wavequake.campaign.rare.certificate import RareProbability, estimated
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.population import Population
 from wavequake.workflows.segments.rare import RareCases, rare_cases
-from wavequake.workflows.segments.study import SegmentStudy, without_images
+from wavequake.workflows.segments.study import TRACED, SegmentStudy, without_images
 from wavequake.workflows.study import study_with
 
 DRAWS = 50_000
 TRACES = 2000
 FEWEST = 50
-# What a certificate needs no images and no series for.
-_PLAIN: dict[str, Any] = {
-    "optics.light": "traced",
-    "campaign.sampling": "random",
-    "campaign.until": None,
-    "store.images": "double",
-    "store.every": 1,
-    "store.reduce": "none",
-    "store.keep": [],
-}
 
 
 def rare_study(
@@ -75,7 +64,7 @@ def rare_study(
     names = [entry.name for entry in study.disturbance]
     chosen = chosen_disturbance(study.disturbance, of)
     keys = {
-        **_PLAIN,
+        **TRACED,
         **{f"disturbance.{name}.share": int(name == chosen) for name in names},
         "rare.measure": measure or (own.measure if own else "wfe_rms"),
         "rare.limit": limit,

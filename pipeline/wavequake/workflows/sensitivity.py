@@ -4,8 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from threadpoolctl import threadpool_limits
-
 from wavequake.campaign.schema import Study
 from wavequake.campaign.store.whole import Arrays
 from wavequake.chain.sensitivities import (
@@ -20,6 +18,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.segments.prepared import at_field, prepare
 from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
+from wavequake.prepared import one_thread
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.study import SegmentStudy, segment_text
 from wavequake.workflows.sensitivity_source import sensitivity_study
@@ -135,17 +134,17 @@ def _telescope_text(study: Study) -> str:
     )
 
 
+@one_thread()
 def _of_bench(bench: Bench, device: Device, figure_terms: int, mirror_terms: int) -> Sensitivities:
     prepared = replace(
         bench.prepared, slopes=None, sphere=None
     )  # always those of the OPD about the chief ray
-    with threadpool_limits(1):  # their number decides the last bits
-        if figure_terms != bench.figure_terms or mirror_terms:
-            terms = bench.study.wavefront.zernike_terms
-            prepared = prepare(
-                bench.system, prepared.rays, prepared.wavelength, terms, figure_terms, mirror_terms
-            )
-        return sensitivities(at_field(prepared, bench.field), device)
+    if figure_terms != bench.figure_terms or mirror_terms:
+        terms = bench.study.wavefront.zernike_terms
+        prepared = prepare(
+            bench.system, prepared.rays, prepared.wavelength, terms, figure_terms, mirror_terms
+        )
+    return sensitivities(at_field(prepared, bench.field), device)
 
 
 def _dataset(bench: Bench, found: Sensitivities, device: Device) -> Arrays:

@@ -16,9 +16,16 @@ from typing import TypeVar
 import numpy as np
 
 from wavequake.campaign import provenance
-from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, StudyKind, Template
+from wavequake.campaign.contract import (
+    DIVERGED,
+    DONE,
+    RAISED,
+    ChunkResult,
+    StudyKind,
+    Template,
+    unknown_arrays,
+)
 from wavequake.campaign.engine.commit import commit
-from wavequake.campaign.one_by_one import unknown_arrays
 from wavequake.campaign.stopwatch import CPU
 from wavequake.campaign.store import fence, journal
 from wavequake.campaign.store.arrays import Array, array_of, chunk_file, open_group, write_chunk

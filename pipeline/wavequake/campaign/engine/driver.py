@@ -69,7 +69,12 @@ class CampaignSummary:
 def begin_workers(workflow: StudyKind, path: Path, on: str) -> None:
     """Have workers of this machine load, if there is no store at `path` yet; do not wait for that."""
     if on == "local" and not (path / store.MANIFEST).exists():
-        prepare_workers(_TASKS, workflow.compute.__module__)
+        _have_workers_load(workflow, path)
+
+
+def _have_workers_load(workflow: StudyKind, path: Path) -> None:
+    """Load what workers run once, in the process that they are forked from."""
+    prepare_workers(_TASKS, workflow.compute.__module__, *(["s3fs"] * isinstance(path, ObjectPath)))
 
 
 def finished(workflow: StudyKind, study: str, path: Path, cases: int, device: str) -> CampaignSummary | None:
@@ -200,6 +205,8 @@ def run_campaign(
         again = sum(last - first for first, last in journal.records if last < full.get(first, last))
         told: tuple[str, ...] = ()
         if todo or recheck:
+            if on == "local":
+                _have_workers_load(workflow, path)
             from wavequake.campaign.engine.chunks import Job
             from wavequake.campaign.engine.compute import compute
             from wavequake.campaign.engine.recheck import Check

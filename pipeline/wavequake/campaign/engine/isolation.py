@@ -10,6 +10,7 @@ import signal
 import time
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
+from typing import Any
 
 from wavequake.campaign.contract import CRASHED, TIMED_OUT, ChunkResult
 from wavequake.campaign.engine.chunks import (
@@ -24,7 +25,13 @@ from wavequake.campaign.engine.chunks import (
 )
 from wavequake.campaign.store import fence
 from wavequake.campaign.store.objects import location
-from wavequake.cluster.local import GUARDED, interrupts_blocked, memory_limit, worker_environment
+from wavequake.cluster.local import (
+    GUARDED,
+    interrupts_blocked,
+    memory_limit,
+    start_of_processes,
+    worker_environment,
+)
 from wavequake.cluster.output import redirect
 from wavequake.errors import UserError
 from wavequake.posix import resource
@@ -83,10 +90,11 @@ def result_of_its_own(job: Job, first: int, last: int, limit_s: float) -> ChunkR
 
 def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResult], _End]:
     """Compute cases one by one in a new process; return the results up to its end, and how that came."""
-    context = multiprocessing.get_context("spawn")
+    context: Any = multiprocessing.get_context(start_of_processes())
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_serve, args=(theirs, job, cases, memory_limit()), daemon=True)
     with worker_environment(), interrupts_blocked():
+        arguments = (theirs, job, cases, memory_limit(), dict(os.environ))
+        process = context.Process(target=_serve, args=arguments, daemon=True)
         process.start()
     theirs.close()
     results: list[ChunkResult] = []
@@ -116,8 +124,9 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
     return results, _End(CRASHED, f"the process that computed it {_death(process.exitcode or 0)}")
 
 
-def _serve(connection: Connection, job: Job, cases: range, memory: int) -> None:
+def _serve(connection: Connection, job: Job, cases: range, memory: int, environment: dict[str, str]) -> None:
     """Be the process of :func:`_in_process`: say None when ready, and then the result of each case."""
+    os.environ.update(environment)  # they may have changed since that process began
     redirect()
     try:
         opened = opened_store(job.workflow, job.path, job.run)

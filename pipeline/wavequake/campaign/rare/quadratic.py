@@ -137,7 +137,7 @@ def largest_factor(form: QuadraticForm, limit: float, probability: float) -> flo
     def lacks(logarithm: float) -> float:
         factor = float(np.exp(logarithm))
         grown = replace(form, slopes=factor * form.slopes, curvatures=factor**2 * form.curvatures)
-        return limit_of(grown, probability) - limit
+        return float(np.log(max(exceedance(grown, limit), _LEAST)) - np.log(probability))
 
     size = form.mean - form.constant + float(np.linalg.norm(form.slopes)) * np.sqrt(limit - form.constant)
     low = high = 0.5 * float(np.log((limit - form.constant) / max(size, 1e-300)))

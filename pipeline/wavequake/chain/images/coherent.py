@@ -136,11 +136,10 @@ def smeared_object(lit: LitObject, phases: Array, ways: Array, sampling: float) 
 
     A tilt moves an image as a whole, so what is exposed between two instants needs no phases of its own.
     """
-    total, size, first = np.zeros((), dtype=np.complex128), 0, 0
+    pupil, first = lit.pupil, 0
+    size = len(pupil.axis) if isinstance(pupil, MatrixFourier) else pupil.pixels
+    total = empty_total(size, ways, sampling)
     for images in lit_images(lit, phases):
-        if not first:
-            size = images.shape[-1]
-            total = empty_total(size, ways, sampling)
         add_smeared(total, images, ways[first : first + len(images)], sampling)
         first += len(images)
     return smeared_image(total, ways, size, sampling)

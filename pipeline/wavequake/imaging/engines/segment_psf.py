@@ -37,7 +37,11 @@ _HEXAGON_MEANS = (0.389, 0.130, 0.0630, 0.0370, 0.0243)
 
 
 def psf(
-    basis: SegmentBasis, segment_phase: ArrayLike, tolerance: float = 1e-3, device: Device = NUMPY
+    basis: SegmentBasis,
+    segment_phase: ArrayLike,
+    tolerance: float = 1e-3,
+    device: Device = NUMPY,
+    bounds: Real | None = None,
 ) -> Floating:
     """Point spread functions, relative to the peak of the perfect pupil.
 
@@ -56,6 +60,8 @@ def psf(
         Largest error, relative to the perfect peak, that may come from ending the series in the slopes.
     device : Device
         A GPU makes the images; for processors BLAS does, which is as fast as OpenCL could be.
+    bounds : ndarray, shape (degrees, batch), optional
+        `truncation_error` of these phases, where it is known.
 
     Returns
     -------
@@ -73,14 +79,16 @@ def psf(
     if phase.ndim != 3 or phase.shape[1:] != (basis.segments, 3):
         raise ValueError(f"segment_phase has the shape {phase.shape}, not (batch, {basis.segments}, 3)")
     batch = len(phase)
+    bounds = truncation_error(basis, phase) if bounds is None else bounds
     images = np.empty((batch, basis.pixels**2), dtype=basis.matrix.dtype)
     for first in range(0, batch, TILE):
         part = phase[first : first + TILE]
-        alone = len(part) == 1 and device.kind != "gpu"
+        by_device = device.kind == "gpu" or (device.kind == "cpu" and basis.matrix.dtype == np.float32)
+        alone = len(part) == 1 and not by_device
         tile = np.zeros((1 if alone else TILE, basis.segments, 3))  # bits depend on nothing else
         tile[: len(part)] = part
-        moments = _moments_for(basis, tile, tolerance)
-        make = partial(_device_images, device=device) if device.kind == "gpu" else _numpy_images
+        moments = _moments_for(basis, tile, bounds[:, first : first + TILE].max(axis=1), tolerance)
+        make = partial(_device_images, device=device) if by_device else _numpy_images
         images[first : first + TILE] = make(basis, tile, moments)[: len(part)]
     return images
 
@@ -280,8 +288,7 @@ def _coefficients(basis: SegmentBasis, tile: Real, moments: int) -> Floating:
     return factors
 
 
-def _moments_for(basis: SegmentBasis, tile: Real, tolerance: float) -> int:
-    errors = truncation_error(basis, tile).max(axis=1)
+def _moments_for(basis: SegmentBasis, tile: Real, errors: Real, tolerance: float) -> int:
     fitting = np.flatnonzero(errors <= tolerance)
     if fitting.size:
         return MOMENTS[fitting[0]]

@@ -15,6 +15,7 @@ from wavequake.imaging.engines.matrix_fourier import MatrixFourier, matrix_fouri
 from wavequake.imaging.pupils.nyquist import warn_of_coarse, zernike_samples_for
 from wavequake.imaging.pupils.pupil_function import PupilGrid
 from wavequake.kernels.device.devices import NUMPY, Device
+from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.transforms.folded import FoldedTransform, folded_images, folded_sum, folded_transform
 from wavequake.kernels.transforms.folded_pupils import Rim, SmoothPhase
 from wavequake.optics.polynomials.zernike import annular_zernike, noll_to_nm
@@ -175,14 +176,21 @@ def _warn_of_coarse(imager: ZernikeImager, coefficients: Real) -> None:
 
 
 def _phase(imager: ZernikeImager, coefficients: Real) -> Real:
-    """Return phases (batch, m) in rad; a product per instant, so that bits do not depend on the batch."""
-    return np.asarray((2.0 * np.pi * coefficients[:, None, :] @ imager.modes.T)[:, 0])
+    """Return phases (batch, m) in rad."""
+    return _in_tiles(coefficients, imager.modes.T)
 
 
 def _smooth(imager: ZernikeImager, coefficients: Real) -> SmoothPhase:
     flat = imager.polynomials.reshape(len(imager.polynomials), -1)
-    polynomials = (2.0 * np.pi * coefficients[:, None, :] @ flat)[:, 0]
+    polynomials = _in_tiles(coefficients, flat)
     return SmoothPhase(polynomials.reshape(-1, *imager.polynomials.shape[1:]), _phase(imager, coefficients))
+
+
+def _in_tiles(coefficients: Real, functions: Real) -> Real:
+    """Return 2 pi times products (batch, m), of constant shape: bits do not depend on the batch."""
+    tiles = np.zeros((-(-len(coefficients) // TILE), TILE, coefficients.shape[1]))
+    tiles.reshape(-1, coefficients.shape[1])[: len(coefficients)] = 2.0 * np.pi * coefficients
+    return (tiles @ functions).reshape(-1, functions.shape[1])[: len(coefficients)]
 
 
 def _chebyshev(terms: int, obscuration: float) -> Real:

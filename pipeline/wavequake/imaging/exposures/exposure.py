@@ -73,12 +73,15 @@ def centroid(image: NDArray[np.floating], sampling: float) -> Real:
     axis = _axis(pixels, sampling)
     center = np.zeros((len(images), 2))
     for _ in range(_CENTROID_STEPS):
-        inside = (_reach(center, axis)[:, None, None] - _distance(center, axis)) / sampling + 0.5
-        light = images * np.clip(inside, 0.0, 1.0)
-        total = light.sum(axis=(1, 2))
-        total = np.where(total == 0.0, 1.0, total)
-        moments = [(light.sum(axis=over) * axis).sum(axis=1) for over in (1, 2)]
-        center = np.stack(moments, axis=1) / total[:, None]
+        light = _distance(center, axis)  # then how far inside the circle, then what counts: memory is slow
+        np.subtract(_reach(center, axis)[:, None, None], light, out=light)
+        light *= 1.0 / sampling
+        light += 0.5
+        np.clip(light, 0.0, 1.0, out=light)
+        light *= images
+        sums = np.stack([light.sum(axis=over) for over in (1, 2)])
+        total = sums[1].sum(axis=1)
+        center = (sums * axis).sum(axis=2).T / np.where(total == 0.0, 1.0, total)[:, None]
     return center.reshape(*batch, 2)
 
 
@@ -169,30 +172,35 @@ def encircled_energy_radius(
     per_peak = _peak_share(area, diameter)
     radii = np.arange(1, image.shape[-1] * _RADII_PER_PIXEL // 2 + 1) * (sampling / _RADII_PER_PIXEL)
     light = _light_about(image, sampling, radii, center, disc=True)
-    found = np.empty((shares.size, len(light.spread)))
-    for which, (spread, reach, dark) in enumerate(zip(light.spread, light.reach, light.dark, strict=True)):
-        for place, share in enumerate(shares.ravel()):
-            found[place, which] = (
-                np.nan if dark else _radius_of(share / per_peak, light.table, spread, radii, reach)
-            )
+    found = np.full((shares.size, len(light.spread)), np.nan)
+    for which in np.flatnonzero(~light.dark):
+        inside = int(np.searchsorted(radii, light.reach[which], side="right"))  # circles in the frame
+        found[:, which] = _radii_of(
+            shares.ravel() / per_peak, light.table[:inside], light.spread[which], radii
+        )
     return np.asarray(found.reshape((*shares.shape, *image.shape[:-2])))
 
 
-def _radius_of(energy: float, table: Real, spread: Real, radii: Real, reach: float) -> float:
-    """Return the first radius with an energy. Energies rise with the radius: few rows of the table tell."""
-    inside = int(np.searchsorted(radii, reach, side="right"))  # rows of circles that fit into the frame
-    ends = np.minimum(np.arange(_ROWS, inside + _ROWS, _ROWS), inside)
-    enough = table[ends - 1] @ spread >= energy
-    if not enough.any():
-        return np.inf
-    last = int(ends[enough.argmax()])
-    rows = np.arange(max(last - _ROWS - 1, 0), last)
-    at, energies = radii[rows], table[rows] @ spread
-    if not rows[0]:
-        at, energies = np.concatenate([[0.0], at]), np.concatenate([[0.0], energies])
-    above = max(int((energies >= energy).argmax()), 1)
-    rise = energies[above] - energies[above - 1]
-    return float(at[above] - (energies[above] - energy) / rise * radii[0])
+def _radii_of(energies: Real, table: Real, spread: Real, radii: Real) -> Real:
+    """Return the first radii with these energies, which rise with the radius: few rows of the table tell."""
+    if not len(table):
+        return np.full(len(energies), np.inf)
+    ends = np.append(np.arange(_ROWS, len(table) + 1, _ROWS), len(table))
+    at_ends = np.append(table[_ROWS - 1 :: _ROWS] @ spread, table[-1] @ spread)
+    found = np.full(len(energies), np.inf)
+    for place, energy in enumerate(energies):
+        enough = at_ends >= energy
+        if not enough.any():
+            continue
+        last = int(ends[enough.argmax()])
+        first = max(last - _ROWS - 1, 0)
+        at, inside = radii[first:last], table[first:last] @ spread
+        if not first:
+            at, inside = np.concatenate([[0.0], at]), np.concatenate([[0.0], inside])
+        above = max(int((inside >= energy).argmax()), 1)
+        rise = inside[above] - inside[above - 1]
+        found[place] = at[above] - (inside[above] - energy) / rise * radii[0]
+    return found
 
 
 def radial_profile(
@@ -214,7 +222,8 @@ def _axis(pixels: int, sampling: float) -> Real:
 def _distance(centers: Real, axis: Real) -> Real:
     """Distances (B, n, n) of the pixels from the centers (B, 2)."""
     x, y = axis - centers[:, :1], axis - centers[:, 1:]
-    return np.asarray(np.sqrt((x**2)[:, None, :] + (y**2)[:, :, None]))
+    squares = (x**2)[:, None, :] + (y**2)[:, :, None]
+    return np.asarray(np.sqrt(squares, out=squares))
 
 
 def _reach(centers: Real, axis: Real) -> Real:

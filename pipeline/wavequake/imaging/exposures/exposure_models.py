@@ -234,17 +234,26 @@ def place_factors(los: Real, canvas: int, sampling: float) -> tuple[Complex, Com
     return np.concatenate([along_y, along_y[:, :0:-1].conj()], axis=1), along_x
 
 
-def mean_factor(places: Real, canvas: int, sampling: float) -> Complex:
-    """Return the mean (N // 2 + 1,) of what moves images to `places` (block,) along one axis."""
+def mean_factors(places: Real, canvas: int, sampling: float) -> Complex:
+    """Return the means (block, N // 2 + 1) of what moves images to `places` (block, m) along one axis."""
     coarse, fine = _split_waves(places, canvas, sampling)
-    return np.asarray((coarse.T @ fine / len(places)).ravel()[: canvas // 2 + 1])
+    mean = coarse.swapaxes(1, 2) @ fine / places.shape[1]
+    return np.asarray(mean.reshape(len(places), -1)[:, : canvas // 2 + 1])
 
 
 def _split_waves(places: Real, canvas: int, sampling: float) -> tuple[Complex, Complex]:
-    """Return two factors (block, n) of all waves exp(-2 pi i f places): few exponentials."""
+    """Return two factors (..., n) of all waves exp(-2 pi i f places): few exponentials."""
     step = int(np.ceil(np.sqrt(canvas // 2 + 1)))
-    angles = -2.0 * np.pi / (canvas * sampling) * places[:, None] * np.arange(step)
-    return np.exp(1j * step * angles), np.exp(1j * angles)
+    angles = 2.0 * np.pi / (canvas * sampling) * places[..., None] * np.arange(step)
+    return _waves(step * angles), _waves(angles)
+
+
+def _waves(angles: Real) -> Complex:
+    """Return exp(-i angles); NumPy's own takes four times as long."""
+    waves = np.empty(angles.shape, np.complex128)
+    np.cos(angles, out=waves.real)
+    np.sin(-angles, out=waves.imag)
+    return waves
 
 
 def image_of(spectrum: Complex, pixels: int) -> Real:

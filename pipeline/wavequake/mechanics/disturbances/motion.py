@@ -57,7 +57,7 @@ class Motion:
         )
 
 
-def still(instants: int, segments: int, figure_terms: int = 0, **named: dict[str, Any]) -> Motion:
+def still(instants: int, segments: int = 0, figure_terms: int = 0, **named: dict[str, Any]) -> Motion:
     """Return no motion at all, but for what is given of surfaces and bodies: rigid, figure, grid."""
     return Motion(
         segment_motion=np.zeros((instants, segments, 6)),

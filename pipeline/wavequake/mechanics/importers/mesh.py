@@ -68,7 +68,7 @@ def read_mesh(path: Path) -> MeshFile:
     Raises
     ------
     UserError
-        If the file cannot be read, or coordinates are not finite.
+        If the file cannot be read, coordinates are not finite, or an element stands on a node that it lacks.
     """
     suffix = path.suffix.lower()
     if suffix in BULK:
@@ -81,6 +81,10 @@ def read_mesh(path: Path) -> MeshFile:
         raise UserError(f"{path.name}: node {mesh.labels[bad[0]]} has no finite coordinates")
     if len(np.unique(mesh.labels)) < len(mesh.labels):
         raise UserError(f"{path.name} defines a node number twice")
+    for name, cells in mesh.cells.items():
+        for element, corner in np.argwhere(~np.isin(cells, mesh.labels))[:1]:
+            number, node = mesh.numbers[name][element], cells[element, corner]
+            raise UserError(f"{path.name}: element {number} stands on node {node}, which the file lacks")
     return mesh
 
 

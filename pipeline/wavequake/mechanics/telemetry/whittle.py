@@ -7,6 +7,7 @@ the covariance of all that is found (Brillinger 1981, section 9.5).
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,6 +134,28 @@ class _Modelled:
     noise: Array
     total: Array
 
+    @cached_property
+    def determinant(self) -> tuple[Array, Array]:
+        """Signs and logarithms (B,) of the determinants of all."""
+        if self.total.shape[1] != 2:
+            return np.linalg.slogdet(self.total)
+        total = self.total  # by hand, in a tenth of the time of LAPACK
+        determinant = total[:, 0, 0] * total[:, 1, 1] - total[:, 0, 1] * total[:, 1, 0]
+        with np.errstate(divide="ignore"):
+            return np.sign(determinant), np.log(np.abs(determinant))
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Inverse (B, c, c) of all, which loss and slopes share."""
+        total = self.total
+        if total.shape[1] != 2:
+            return np.asarray(np.linalg.inv(total))
+        adjugate = np.empty_like(total)
+        adjugate[:, 0, 0], adjugate[:, 1, 1] = total[:, 1, 1], total[:, 0, 0]
+        adjugate[:, 0, 1], adjugate[:, 1, 0] = -total[:, 0, 1], -total[:, 1, 0]
+        sign, logarithm = self.determinant
+        return np.asarray(adjugate * (sign * np.exp(-logarithm))[:, None, None])
+
 
 def _modelled(window: Window, fit: Fit, slopes: bool = True) -> _Modelled:
     lines = (
@@ -159,10 +182,10 @@ def _line(window: Window, logs: Array) -> Array:
 
 
 def _loss(window: Window, modelled: _Modelled) -> float:
-    sign, logarithm = np.linalg.slogdet(modelled.total)
+    sign, logarithm = modelled.determinant
     if not (sign > 0.0).all():
         return np.inf
-    trace = np.einsum("bii->b", np.linalg.solve(modelled.total, window.power))
+    trace = np.einsum("bij,bji->b", modelled.inverse, window.power)
     return float(window.weight @ (logarithm + trace))
 
 
@@ -243,7 +266,7 @@ def _scores(window: Window, fit: Fit, modelled: _Modelled) -> tuple[Array, Array
     """
     weight, lines, slopes, noise = window.weight, modelled.lines, modelled.slopes, modelled.noise
     count, channels = fit.shapes.shape
-    inverse = np.linalg.inv(modelled.total)
+    inverse = modelled.inverse
     excess = inverse - inverse @ window.power @ inverse
     seen = inverse @ fit.shapes.T
     between = fit.shapes @ seen
@@ -305,9 +328,10 @@ def noise_factor(window: Window, fit: Fit, steps: int = 20) -> Array:
     lines, count = modelled.total.copy(), len(noise)
     own = np.arange(count)
     lines[:, own, own] -= modelled.noise
-    value = _loss(window, replace(modelled, total=lines + noise))
+    now = replace(modelled, total=lines + noise)
+    value = _loss(window, now)
     for _ in range(steps):
-        inverse = np.linalg.inv(lines + noise)
+        inverse = now.inverse
         slope = np.einsum("b,bij->ij", weight, inverse @ window.power @ inverse - inverse)
         flat = inverse.reshape(len(weight), count**2)
         pairs = ((flat * weight[:, None]).T @ flat).reshape((count,) * 4)  # of inverse elements ij, kl
@@ -319,9 +343,10 @@ def noise_factor(window: Window, fit: Fit, steps: int = 20) -> Array:
             trial = noise + part * move
             if np.linalg.eigvalsh(trial)[0] < least:
                 continue
-            gain = value - _loss(window, replace(modelled, total=lines + trial))
+            ahead = replace(modelled, total=lines + trial)
+            gain = value - _loss(window, ahead)
             if gain > 0.0:
-                value, noise = value - gain, trial
+                value, noise, now = value - gain, trial, ahead
                 break
         if gain < _DONE:
             break

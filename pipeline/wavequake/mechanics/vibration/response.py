@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Integers
 from wavequake.mechanics.vibration.drive import Drive, values
+from wavequake.mechanics.vibration.exponential import exponentials
 from wavequake.mechanics.vibration.modal import ModalModel
 
 _COUPLED = 1e-12
@@ -165,11 +166,9 @@ def time_step(time: Array) -> float:
 def _blocks(modal: ModalModel, step: float) -> list[_Block]:
     """Split the modes into single oscillators (one stack) and groups that damping couples."""
     strong = np.abs(modal.damping) > _COUPLED * np.abs(modal.damping).max(initial=0.0)
-    labels = (
-        scipy.sparse.csgraph.connected_components(strong, directed=False)[1]
-        if strong.size
-        else np.zeros(0, dtype=int)
-    )
+    labels = np.arange(len(strong))
+    if np.count_nonzero(strong) > np.count_nonzero(strong.diagonal()):
+        labels = scipy.sparse.csgraph.connected_components(strong, directed=False)[1]
     counts = np.bincount(labels)
     single = np.flatnonzero(counts[labels] == 1)
     groups = [single[:, None]] if len(single) else []
@@ -236,7 +235,7 @@ def _step(
     whole[:, :states, :states] = system * step
     whole[:, :states, states::order] = columns * step / size
     whole[:, states:, states:] = np.kron(np.eye(width), generator * step)
-    power = scipy.linalg.expm(whole)
+    power = exponentials(whole)
     gain = power[:, :states, states:].reshape(stack, states, width, order) * size
     if not narrow:
         gain = np.einsum("gswq,gwp->gspq", gain, inputs)
@@ -267,7 +266,7 @@ def _forcing(block: _Block, drive: Drive, time: Array, step: float) -> tuple[Arr
     for impulse in drive.impulses:
         first, rest = _next_instant(impulse.at, time, step)
         jump = block.inputs @ impulse.momentum
-        gains.append(scipy.linalg.expm(block.system * rest) @ jump[..., None])
+        gains.append(exponentials(block.system * rest) @ jump[..., None])
         signals.append((np.arange(len(time)) == first)[None])
     if not gains:
         return np.zeros((*block.inputs.shape[:2], 1)), np.zeros((1, len(time)))

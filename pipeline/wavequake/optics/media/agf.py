@@ -88,6 +88,10 @@ def parse_rods(text: str, where: str) -> dict[str, Medium]:
                 f"{where}, line {number}: the rod {name[:20]} needs five lines of numbers below its name, B, "
                 "C, K0, K1 and K2."
             )
+        if name.upper() in found:
+            raise UserError(
+                f"{where}, line {number}: there is a rod {name[:20]} before; rods need names of their own."
+            )
         numbers = tuple(_number(word, f"{where}, line {place}") for place, word in rest)
         for (place, word), value in zip(rest, numbers, strict=True):
             if abs(value) > _MOST_OF_A_ROD:

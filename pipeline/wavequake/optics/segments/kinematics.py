@@ -116,6 +116,10 @@ def _write_poses(out: Array, motion: Array, centers: Array, to_optics: Array | N
     """Write the transforms (S, 12, 16) of a tile of motions (6, S, 16) in the axes `to_optics` (S, 3, 3)."""
     shift_x, shift_y, shift_z, *angles = motion
     shift: tuple[Array, ...] = (shift_x, shift_y, shift_z)
+    if not motion[3:].any():  # nothing turns, as in wind on stiff segments
+        out[:, :9] = np.eye(3).reshape(9, 1)
+        out[:, 9:] = -np.stack(shift if to_optics is None else _turn(to_optics, shift), axis=1)
+        return
     w, vector = quaternion(*angles)
     if to_optics is not None:
         # A reflection (z to the sky -> z along the light): a rotation vector, being axial, changes its sign.

@@ -158,15 +158,26 @@ def wavefronts(model: ModalModel, found: Forms) -> ModalWavefront:
     plane = model.rest[places.plane] + linear[..., places.plane]
     mean = model.rest[places.mean] + linear[..., places.mean]
     square = model.rest_square + 2.0 * linear[..., places.static] + found.quadratic
-    of_plane = np.sum(plane[..., :, None] * model.plane_normal * plane[..., None, :], axis=(-2, -1))
+    of_plane = _form(plane, model.plane_normal)
     return ModalWavefront(
         zernike=zernike,
-        rms=np.sqrt(np.sum(zernike[..., 3:] ** 2, axis=-1)),
+        rms=np.sqrt(np.einsum("...j,...j->...", zernike[..., 3:], zernike[..., 3:])),
         rms_raw=np.sqrt(np.maximum(square - mean**2, 0.0)),
         rms_flat=np.sqrt(np.maximum(square - of_plane, 0.0)),
         los=linear[..., places.los],
         centroid=linear[..., places.centroid],
     )
+
+
+def _form(vectors: Array, matrix: Array) -> Array:
+    """Return v^T A v of vectors (..., n) by a small symmetric matrix; bits depend on each vector alone."""
+    parts = np.moveaxis(vectors, -1, 0)
+    total = np.zeros(vectors.shape[:-1])
+    for i, one in enumerate(parts):
+        total += matrix[i, i] * one * one
+        for j in range(i):
+            total += 2.0 * matrix[i, j] * one * parts[j]
+    return total
 
 
 def amplitudes(model: ModalModel, motions: Array) -> Array:

@@ -248,7 +248,9 @@ def _mirror_figure(prepared: PreparedTrace, states: States) -> Array | None:
     return coefficients if prepared.aspheres is None else coefficients + prepared.aspheres[:, :, None]
 
 
-def trace_states(prepared: PreparedTrace, states: States, device: Device) -> Traced:
+def trace_states(
+    prepared: PreparedTrace, states: States, device: Device, chief: Array | None = None
+) -> Traced:
     """Trace all rays at all instants in one launch.
 
     Parameters
@@ -257,6 +259,8 @@ def trace_states(prepared: PreparedTrace, states: States, device: Device) -> Tra
     states : States
         The batch is a whole number of tiles; NaN motions lose the rays that they concern.
     device : Device
+    chief : ndarray, shape (T, 3, 16), optional
+        From `chief_rays`, where they are known.
 
     Raises
     ------
@@ -296,7 +300,7 @@ def trace_states(prepared: PreparedTrace, states: States, device: Device) -> Tra
         figure,
         relative_transforms(*after_m1(system, states.surface_motion)),
         directions(prepared, states),
-        chief_rays(prepared, states),
+        chief_rays(prepared, states) if chief is None else chief,
         device,
         _mirror_figure(prepared, states),
     )
@@ -319,11 +323,12 @@ def directions(prepared: PreparedTrace, states: States) -> Array:
 
 def _wander(prepared: PreparedTrace, states: States) -> float:
     """Return a bound (mm) of how far rays wander across segments by the motions and the field angles."""
-    system, motion = prepared.system, np.abs(states.segment_motion)
-    angle = np.abs(_angles(prepared, states))
-    for magnitudes in (motion, angle):
-        magnitudes[~np.isfinite(magnitudes)] = 0.0  # such rays are lost anyhow
-    largest = motion.max(axis=0).max(axis=0)  # twice: instants first is five times as fast as both at once
+    system, motion, angle = prepared.system, states.segment_motion, np.abs(_angles(prepared, states))
+    # Instants first is five times as fast as both at once; no magnitudes are stored.
+    largest = np.maximum(motion.max(axis=0), -motion.min(axis=0)).max(axis=0)
+    if not np.isfinite(largest).all():  # such rays are lost anyhow
+        largest = np.where(np.isfinite(motion), np.abs(motion), 0.0).max(axis=(0, 1))
+    angle[~np.isfinite(angle)] = 0.0
     steepest = np.sqrt(2.0) * np.tan(angle.max())
     radius = segment_radii(system).max()
     depth = np.abs(system.segments.centers[:, 2] - system.stop_z).max() + radius

@@ -78,13 +78,16 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
     fits, sums = [], []
     slopes = prepared.plane.basis[:, 1:3].T
     status, stays = np.asarray(traced.status), device_of(traced.x) is not None
-    step = len(status) if stays else _TILES
+    step, lost = len(status) if stays else _TILES, status != OK
+    some_lost = bool(lost.any())
     for first in range(0, len(status), step):
         tiles = slice(first, first + step)
         waves = traced.opd[tiles] / prepared.wavelength
-        ok = status[tiles] == OK
-        waves[~ok] = np.nan
-        found = [_fit_tile(prepared, *tile) for tile in zip(waves, ok, strict=True)]
+        if some_lost:
+            waves[lost[tiles]] = np.nan
+            found = [_fit_tile(prepared, *tile) for tile in zip(waves, ~lost[tiles], strict=True)]
+        else:
+            found = [_fit_tile(prepared, tile) for tile in waves]
         planes = np.stack([tile[-1] for tile in found])
         x, y = (values if stays else values[tiles] for values in (traced.x, traced.y))  # a part would come
         sums.append(vars(tile_moments(waves, x, y, prepared.weight, slopes, planes, device)))
@@ -93,10 +96,11 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
     moments = {name: np.concatenate([part[name] for part in sums]) for name in sums[0]}
     if prepared.slopes is not None:
         zernike = wavefront_from_slopes(prepared.slopes, traced, chief)
-    lost = np.count_nonzero(status != OK, axis=1).ravel()
     image_point = from_tiles(chief)[:, :2]
-    passed_by = np.zeros(len(lost), dtype=np.int64)
-    for tile in np.flatnonzero(lost.reshape(-1, TILE).any(axis=1)):
+    lost_rays, passed_by = (np.zeros(len(status) * TILE, dtype=np.int64) for _ in range(2))
+    if some_lost:
+        lost_rays[:] = np.count_nonzero(lost, axis=1).ravel()
+    for tile in np.flatnonzero(lost_rays.reshape(-1, TILE).any(axis=1)):
         gone = vignetted(prepared.train, status[tile])
         passed_by[tile * TILE : (tile + 1) * TILE] = np.count_nonzero(gone, axis=0)
     scale = prepared.wavelength, prepared.numerical_aperture, prepared.tilt_factor
@@ -111,7 +115,7 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
         spot_rms=moments["spot_rms"],
         strehl=moments["strehl"],
         segment_phase=phase,
-        lost=lost,
+        lost=lost_rays,
         vignetted=passed_by,
         lost_segments=lost_segments,
         device=device,
@@ -119,19 +123,20 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
 
 
 def _fit_tile(
-    prepared: PreparedTrace, waves: Array, ok: NDArray[np.bool_]
+    prepared: PreparedTrace, waves: Array, ok: NDArray[np.bool_] | None = None
 ) -> tuple[Array, Array, NDArray[np.bool_], Array, Array]:
-    """Fit one tile (N, 16), from whose waves the tilt to the fitted sphere is taken.
+    """Fit one tile (N, 16) of rays of which some are `ok`, or all; the fitted sphere's tilt is taken out.
 
     Return Zernike coefficients, phases of segments, lost segments and shift of the sphere's center with the
     16 instants first, and the plane's slopes (2, 16).
     """
-    complete, segments = ok.all(axis=0), len(prepared.system.segments)
-    known = waves if complete.all() else np.where(ok, waves, 0.0)
+    segments = len(prepared.system.segments)
+    known = waves if ok is None else np.where(ok, waves, 0.0)
     phase = (prepared.segment_fit @ known).reshape(segments, 3, TILE)
     lost_segments = np.zeros((TILE, segments), dtype=np.bool_)
-    for lane in np.flatnonzero(~complete):
-        phase[..., lane], lost_segments[lane] = _refit_segments(prepared, ok[:, lane], known[:, lane])
+    if ok is not None:
+        for lane in np.flatnonzero(~ok.all(axis=0)):
+            phase[..., lane], lost_segments[lane] = _refit_segments(prepared, ok[:, lane], known[:, lane])
     shift = np.zeros((2, TILE))
     if prepared.sphere is not None:
         tilt = fit_tile(prepared.sphere, waves, ok)[1:3]

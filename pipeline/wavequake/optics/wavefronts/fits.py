@@ -237,12 +237,13 @@ def _fit_instants(fit: Fit, values: Array, device: Device) -> tuple[Array, dict[
     return coefficients, normals
 
 
-def fit_tile(fit: Fit, values: Array, ok: Mask) -> Array:
-    """Return coefficients (J, n) of values (N, n), of which `ok` (N, n) are known: of instants in tiles."""
-    complete = ok.all(axis=0)
-    known = values if complete.all() else np.where(ok, values, 0.0)
+def fit_tile(fit: Fit, values: Array, ok: Mask | None) -> Array:
+    """Return coefficients (J, n) of values (N, n), of which `ok` (N, n) are known, or all: of a tile."""
+    known = values if ok is None else np.where(ok, values, 0.0)
     coefficients: Array = fit.matrix @ known
-    for lane in np.flatnonzero(~complete):
+    if ok is None:
+        return coefficients
+    for lane in np.flatnonzero(~ok.all(axis=0)):
         coefficients[:, lane] = refit(fit, ok[:, lane], known[:, lane])
     return coefficients
 

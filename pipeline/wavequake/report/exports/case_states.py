@@ -20,6 +20,7 @@ from wavequake.optics.systems.kinematics import joined, rest_states
 from wavequake.optics.systems.system import OpticalSystem, States
 from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of
 from wavequake.workflows.exposures.telescope_exposure import controlled_blocks, scaled_draw
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.loops import system_loop, telescope_bench, telescope_light, telescope_loop
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
@@ -27,6 +28,7 @@ from wavequake.workflows.mirrors import bench as mirrors
 from wavequake.workflows.mirrors.base import driven
 from wavequake.workflows.mirrors.optics import displacements_mm, with_deformation
 from wavequake.workflows.mirrors.residual import coordinates_of, grid_of, left_by
+from wavequake.workflows.mirrors.segment_body import variant_of
 from wavequake.workflows.mirrors.study import TraceStudy
 from wavequake.workflows.segments import mor, mor_bench
 from wavequake.workflows.segments.bench import bench_of as segment_bench
@@ -110,7 +112,7 @@ def _of_loop(study: str, case: int, under: str) -> tuple[OpticalSystem, States]:
 
 def _of_mirror(text: str, case: int, under: str) -> tuple[OpticalSystem, States]:
     """Return the figure of an excited mirror: polynomials, and, as traced, what they leave on a grid."""
-    study = mirrors.any_study_of(text)
+    study = study_of(text)
     excitation = study.excitation[_named(under, [one.name for one in study.excitation], "excitation")]
     model, variant = mirrors.cases_of(study)[case]
     bench = mirrors.bench_of(text, model)
@@ -182,11 +184,11 @@ def _of_telescope(text: str, case: int, under: str) -> _Segmented:
 
 
 def _of_shaken(text: str, case: int, under: str) -> _Segmented:
-    study, model = mor_bench.study_of(text), mor_bench.model_of(text)
+    study, model = study_of(text), mor_bench.model_of(text)
     disturbed, variant = mor.cases_of(study)[case]
     number = _named(under, [one.name for one in study.excitation], "excitation")
     which = mor_bench.chosen_segments(study, model.bench, disturbed)
-    chosen = mor_bench.reduced(model, variant)
+    chosen = variant_of(model, variant)
     moved = mor_bench.motions(study, model, chosen, which.tolist())[number]
     states = mor.surface_states(model.bench, which, moved)
     return _Segmented(model.bench.system, states, len(moved), [model.bench.prepared.wavelength])

@@ -6,21 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.drawing.ticks import in_inches
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, color_scale, curve_style, one_panel, stacked
+from wavequake.report.figures import STYLE, WIDTH, colorbar, curve_style, one_panel, stacked
 
 Array = NDArray[np.float64]
 
 # Decades below the peak that a picture shows.
 _DECADES = 4
 _TRACK = "#ff4d4d"
-# Inches beside, below and between panels, of which the scale of colors is to the right.
-_LEFT, _RIGHT, _BOTTOM, _TITLE, _GAP = 0.65, 0.85, 0.5, 0.3, 0.2
+# Inches around panels: numbers and label; scale with its own; between columns; below; title.
+_LEFT, _RIGHT, _GAP, _BOTTOM, _TITLE = 0.65, 0.95, 0.15, 0.5, 0.35
 
 
 @dataclass(frozen=True)
@@ -38,33 +37,33 @@ class Panel:
 @rc_context(STYLE)
 def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     """Show exposures with one logarithmic scale and the line of sight as a line (Fig. 4.32b and 4.45)."""
-    columns = 2 if len(panels) > 1 else 1
+    columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    side = min(HEIGHT - 0.8, (WIDTH - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns)
-    pitch = side + _TITLE
-    high = _BOTTOM + rows * pitch
-    figure = Figure(figsize=(WIDTH, high))
+    square = (WIDTH - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns
+    across, up = square + _GAP, square + _TITLE
+    figure = Figure(figsize=(WIDTH, _BOTTOM + rows * up))
     top = max(float(panel.image.max()) for panel in panels)
+    floor = 10.0**-_DECADES * top
     half = 0.5 * (axis[1] - axis[0])
-    extent = (axis[0] - half, axis[-1] + half, axis[0] - half, axis[-1] + half)
-    norm = LogNorm(10.0**-_DECADES * top, top)
+    ends = (axis[0] - half, axis[-1] + half)
+    places = []
     for number, panel in enumerate(panels):
         row, column = divmod(number, columns)
-        place = in_inches(
-            figure, _LEFT + column * (side + _GAP), _BOTTOM + (rows - 1 - row) * pitch, side, side
+        lowest = number + columns >= len(panels)
+        place = in_inches(figure, _LEFT + column * across, _BOTTOM + (rows - 1 - row) * up, square, square)
+        picture = place.imshow(
+            np.maximum(panel.image, floor), norm=LogNorm(floor, top), origin="lower", extent=(*ends, *ends)
         )
-        place.imshow(np.maximum(panel.image, norm.vmin), norm=norm, origin="lower", extent=extent)
         place.plot(panel.track[:, 0], panel.track[:, 1], color=_TRACK, linewidth=0.8)
         place.plot(*panel.track[-1:].T, "o", color=_TRACK, markersize=2.0)
-        place.set_xlim(*extent[:2])
-        place.set_ylim(*extent[2:])
+        place.set(xlim=ends, ylim=ends)
         place.set_title(panel.title, fontsize=8)
-        lowest, leftmost = number + columns >= len(panels), column == 0
-        place.tick_params(labelbottom=lowest, labelleft=leftmost)
-        place.set(xlabel="x (λ/D)" if lowest else "", ylabel="y (λ/D)" if leftmost else "")
-    right = _LEFT + columns * (side + _GAP) - _GAP + 0.1
-    scale = right / WIDTH, _BOTTOM / high, 0.13 / WIDTH, (rows * pitch - _TITLE) / high
-    color_scale(figure, scale, ScalarMappable(norm), "irradiance; 1 = perfect peak")
+        place.tick_params(labelbottom=lowest, labelleft=not column)
+        place.set(xlabel="x (λ/D)" if lowest else "", ylabel="" if column else "y (λ/D)")
+        places.append(place)
+    corner = [columns - 1 + columns * row for row in (0, rows - 1)]
+    beside = places[corner[-1]] if corner[-1] < len(places) else places[corner[0]]
+    colorbar(figure, beside, picture, "irradiance; 1 = perfect peak", top=places[corner[0]])
     return figure
 
 

@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path
 from numpy.typing import NDArray
 
+from wavequake.drawing.ticks import in_inches
 from wavequake.imaging.exposures.mtf import modulation_transfer
-from wavequake.report.figures import STYLE, WIDTH, curve_style, one_panel
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, colorbar, curve_style, one_panel
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]
@@ -22,7 +23,8 @@ _CELLS = 512  # across a pupil
 @rc_context(STYLE)
 def log_psf(image: Array, axis: Array, decades: int = 5) -> Figure:
     """Show an image (n, n) on a logarithmic scale; `axis` (n,) is in wavelengths / diameter."""
-    figure, axes = one_panel()
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    axes = in_inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
     top = float(image.max())
     floor = 10.0**-decades * top
     picture = axes.imshow(
@@ -30,7 +32,7 @@ def log_psf(image: Array, axis: Array, decades: int = 5) -> Figure:
     )
     axes.set_xlabel("x (λ/D)")
     axes.set_ylabel("y (λ/D)")
-    figure.colorbar(picture, ax=axes, label="irradiance; 1 = perfect peak")
+    colorbar(figure, axes, picture, "irradiance; 1 = perfect peak")
     return figure
 
 

@@ -12,7 +12,7 @@ from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style
 from wavequake.report.mirrors.variants import few
 from wavequake.report.statistics import distribution
 from wavequake.report.table import number
-from wavequake.workflows.lens.bench import study_of
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.lens.experiment import exact_of
 
 Array = NDArray[np.float64]

@@ -4,11 +4,17 @@ from collections.abc import Iterator, Sequence
 
 import xarray as xr
 
-from wavequake.report.loops.over_frequency import curves_of, heard_of, loops_over_frequency, noise_picture
+from wavequake.report.loops.over_frequency import (
+    by_controller,
+    curves_of,
+    loops_over_frequency,
+    noise_picture,
+    spectra_of,
+)
 from wavequake.report.loops.spectra import of_histories, spectra
 from wavequake.report.page import Picture, picture
 from wavequake.words import counted
-from wavequake.workflows.lens.bench import study_of
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.lens.loops import OPEN, looked
 from wavequake.workflows.loops.curves import frequencies, kept
 
@@ -40,6 +46,7 @@ def over_frequency(dataset: xr.Dataset, springs: str, rows: Sequence[int]) -> It
     hertz = frequencies(study.sensor, [one.loop.timing.period for one in found.values()])
     names = list(found)
     loops = xr.Dataset(kept(names, hertz, found, "um"), {"controller": names, "frequency": hertz})
-    yield from loops_over_frequency(f"{springs}-", curves_of(loops, names))
-    if heard := heard_of(loops, names, "noise_los"):
+    rows = by_controller(loops, names)
+    yield from loops_over_frequency(f"{springs}-", curves_of(rows))
+    if heard := spectra_of(rows, "noise_los"):
         yield noise_picture(f"{springs}-noise", "image", "µm", heard)

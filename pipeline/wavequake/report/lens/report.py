@@ -21,7 +21,8 @@ from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, empty_table, number
 from wavequake.words import counted
-from wavequake.workflows.lens.bench import bench_of, stage_of, study_of
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.lens.bench import bench_of, stage_of
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,8 @@ from rich.text import Text
 
 from wavequake.report.exposures.figures import Panel, exposure_panels
 from wavequake.report.loops import figures as draw
-from wavequake.report.loops.frequency import Curve
 from wavequake.report.loops.outcomes import Level, Outcome, answer, certificate, levels_of, spilled
-from wavequake.report.loops.over_frequency import locus, loops_over_frequency, noise_picture
+from wavequake.report.loops.over_frequency import curves_of, loops_over_frequency, noise_picture, spectra_of
 from wavequake.report.loops.spectra import of_density, spectra
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
@@ -178,25 +177,24 @@ def _images(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]:
 def _over_frequency(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]:
     yield from loops_over_frequency(
         f"effort-{place}-",
-        [_curve(dataset, one) for one in level.telling],
+        curves_of(
+            (one.variant if one.stable else f"{one.variant}, unstable", dataset.isel(case=one.row))
+            for one in level.telling
+        ),
         "A line for each eigenvalue of the loop gain with the full model. Shown are the model that is "
         "enough, the most accurate one that destabilizes and the least accurate one that does not.",
         "Largest singular values: of what is left of a disturbance at the sensors, and of what comes of "
         "their noise. An unstable loop has none.",
     )
-    stable = [one for one in level.telling if one.stable]
+    stable = [(one.variant, dataset.isel(case=one.row)) for one in level.telling if one.stable]
     if not stable or "left_psd" not in dataset:  # 0.3 kept no spectra
         return
     hertz = dataset["frequency"].to_numpy()
-    left, heard = (
-        [of_density(one.variant, hertz, dataset[key].to_numpy()[one.row], flat=True) for one in stable]
-        for key in ("left_psd", "noise_psd")
-    )
     calm = of_density("without a controller", hertz, dataset["open_psd"].to_numpy(), flat=True, calm=True)
     yield picture(
         f"effort-{place}-spectrum",
         "Spectrum of the wavefront, and how its rms adds up",
-        spectra([calm, *left], "What is left of the forces", "nm"),
+        spectra([calm, *spectra_of(stable, "left_psd")], "What is left of the forces", "nm"),
         "Exact, with the full model, for white forces; the thick line is the wavefront without a controller. "
         "Below is the rms of all that is faster than a frequency. The sensors' noise is not in it.",
     )
@@ -204,23 +202,7 @@ def _over_frequency(dataset: xr.Dataset, level: Level, place: int) -> Iterator[P
         f"effort-{place}-noise",
         "wavefront",
         "nm",
-        heard,
+        spectra_of(stable, "noise_psd"),
         "Exact, with the full model: white noise of the sensors through controller and forces. Squared it "
         "adds to the square of what is left of the forces.",
-    )
-
-
-def _curve(dataset: xr.Dataset, one: Outcome) -> Curve:
-    size, phase, sensitivity, complementary = (
-        dataset[name].to_numpy()[one.row]
-        for name in ("loop_gain", "loop_phase", "sensitivity", "complementary")
-    )
-    return Curve(
-        one.variant if one.stable else f"{one.variant}, unstable",
-        dataset["frequency"].to_numpy(),
-        locus(size, phase),
-        sensitivity,
-        complementary,
-        one["gain_up"],
-        one["phase_margin"],
     )

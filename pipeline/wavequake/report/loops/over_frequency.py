@@ -1,6 +1,6 @@
 """Controllers of a telescope or system over frequency: margins, rejection, what is left, what noise does."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -12,6 +12,9 @@ from wavequake.report.loops.spectra import Array, Spectrum, of_density, of_histo
 from wavequake.report.page import Picture, picture
 from wavequake.words import counted
 
+# What a store has of each of some loops, by its label.
+Rows = Iterable[tuple[str, xr.Dataset]]
+_SENSITIVITIES = (("rejection", "sensitivity"), ("passed_noise", "complementary"))
 # Fewer instants say nothing of a spectrum; cases of which spectra are taken.
 _LEAST, _MOST = 32, 64
 # Steps of time that differ by less are even; noise that moves less than this share of what is left is none.
@@ -51,7 +54,8 @@ def over_frequency(
     names = list(models)
     if "gain_up" not in cases:  # of a release that kept no margins
         return
-    yield from loops_over_frequency(f"{disturbance}-", curves_of(cases, names))
+    rows = by_controller(cases, names)
+    yield from loops_over_frequency(f"{disturbance}-", curves_of(rows))
     left, count = _left(cases, models)
     if left:
         yield picture(
@@ -73,7 +77,7 @@ def over_frequency(
             "all that is faster than a frequency.",
         )
     for key, what, of in (("los", "line of sight", unit), ("wfe", "wavefront", "nm")):
-        heard = heard_of(cases, names, f"noise_{key}")
+        heard = spectra_of(rows, f"noise_{key}")
         if heard and max(one.above[0] for one in heard) > _NOTHING * most[key]:
             yield noise_picture(f"{disturbance}-noise-{key}", what, of, heard)
 
@@ -106,18 +110,39 @@ def noise_picture(key: str, what: str, unit: str, heard: Sequence[Spectrum], wor
     return picture(key, f"What sensor noise does to the {what}", figure, words)
 
 
-def curves_of(cases: xr.Dataset, names: Sequence[str]) -> list[Curve]:
-    """Return the linear ones of some controllers over frequency."""
-    found, hertz = [], cases["frequency"].to_numpy()
-    for name in names:
-        size, phase, rejection, passed, gain_up, margin = (
-            cases[key].sel(controller=name).transpose("frequency", ..., missing_dims="ignore").to_numpy()
-            for key in ("loop_gain", "loop_phase", "rejection", "passed_noise", "gain_up", "phase_margin")
+def curves_of(rows: Rows) -> list[Curve]:
+    """Return those of some loops over frequency that are linear, whatever kind of store they are of.
+
+    |S| and |T| are those of the worst eigenvalue, or largest singular values: stores have one of both.
+    """
+    found = []
+    for label, one in rows:
+        size, phase = (
+            one[name].transpose("frequency", ...).to_numpy() for name in ("loop_gain", "loop_phase")
         )
         if np.isfinite(size).any():
-            gain = locus(size, phase)
-            found.append(Curve(name, hertz, gain, rejection, passed, float(gain_up), float(margin)))
+            rejection, passed = (
+                next(one[name].to_numpy() for name in names if name in one) for names in _SENSITIVITIES
+            )
+            margins = float(one["gain_up"]), float(one["phase_margin"])
+            hertz = one["frequency"].to_numpy()
+            found.append(Curve(label, hertz, locus(size, phase), rejection, passed, *margins))
     return found
+
+
+def spectra_of(rows: Rows, key: str, *, flat: bool = True) -> list[Spectrum]:
+    """Return the spectra of some loops that a store keeps under a name, where there is anything."""
+    known = [(label, one["frequency"].to_numpy(), one[key].to_numpy()) for label, one in rows]
+    return [
+        of_density(label, hertz, density, flat=flat)
+        for label, hertz, density in known
+        if np.nan_to_num(density).max() > 0
+    ]
+
+
+def by_controller(cases: xr.Dataset, names: Iterable[str]) -> list[tuple[str, xr.Dataset]]:
+    """Return what a store has of each of some controllers, with their names."""
+    return [(name, cases.sel(controller=name)) for name in names]
 
 
 def locus(size: Array, phase: Array) -> NDArray[np.complex128]:
@@ -165,14 +190,3 @@ def _predicted(cases: xr.Dataset, names: Sequence[str]) -> list[Spectrum]:
         if np.isfinite(size).any()
     ]
     return [of_density("without a loop", hertz, density, calm=True), *left] if left else []
-
-
-def heard_of(cases: xr.Dataset, names: Sequence[str], key: str) -> list[Spectrum]:
-    """Return the spectra of what noise does under some controllers, where there is any."""
-    densities = cases[key].sel(controller=list(names)).to_numpy()
-    hertz = cases["frequency"].to_numpy()
-    return [
-        of_density(name, hertz, one, flat=True)
-        for name, one in zip(names, densities, strict=True)
-        if np.nan_to_num(one).max() > 0
-    ]

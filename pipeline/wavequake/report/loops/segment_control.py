@@ -15,12 +15,9 @@ from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, curve_style, one_panel, stacked
-from wavequake.report.loops.frequency import (
-    Curve,
-    logarithmic,
-)
-from wavequake.report.loops.over_frequency import locus, loops_over_frequency, noise_picture
-from wavequake.report.loops.spectra import Spectrum, of_density, spectra
+from wavequake.report.loops.frequency import logarithmic
+from wavequake.report.loops.over_frequency import curves_of, loops_over_frequency, noise_picture, spectra_of
+from wavequake.report.loops.spectra import of_density, spectra
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number, table_of_rows
@@ -238,11 +235,14 @@ def _over_frequency(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Sec
     """Return the section of what is known over frequency; unstable loops have no sensitivity."""
     if not any(one.stable for one in loops) or "loop_gain" not in dataset:  # 0.3 kept sensitivities alone
         return []
-    curves = _curves(dataset, loops)
+    rows = [(f"{one.hertz:g} Hz", dataset.isel(bandwidth=k)) for k, one in enumerate(loops) if one.stable]
+    hertz, density = dataset["frequency"].to_numpy(), dataset["open_psd"].to_numpy()
+    calm = of_density("without a loop", hertz, density, calm=True)
+    left = [calm, *spectra_of(rows, "left_psd", flat=False)]
     shown = [
         *loops_over_frequency(
             "",
-            curves,
+            curves_of(rows),
             "Of each bandwidth the eigenvalues of the loop gain that have the gain and the phase margin.",
             "Largest singular values: |S| is what is left of a motion of the mirror, |T| what comes of the "
             "sensors' noise. Above 1 a loop amplifies.",
@@ -250,42 +250,16 @@ def _over_frequency(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Sec
         picture(
             "spectrum",
             "Spectrum of the surface, and how its rms adds up",
-            spectra(_spectra(dataset, loops, "left_psd"), "What is left of wind and structure", "nm"),
+            spectra(left, "What is left of wind and structure", "nm"),
             "Integrals over frequency, exact but for the steps between the frequencies that are drawn; the "
             "thick line is the surface without a loop. Below is the rms of all that is faster than a "
             "frequency, up to half the rate of frames. The sensors' noise is not in it.",
         ),
     ]
-    if noise := _spectra(dataset, loops, "noise_psd"):
+    if noise := spectra_of(rows, "noise_psd"):
         words = "Noise of all edge sensors through the loop. The faster a loop, the more of it."
         shown.append(noise_picture("noise", "surface", "nm", noise, words))
     return [Section("Over frequency", shown)]
-
-
-def _curves(dataset: xr.Dataset, loops: Sequence[Bandwidth]) -> list[Curve]:
-    hertz = dataset["frequency"].to_numpy()
-    size, phase, left, passed, gain_up, margin = (
-        dataset[name].transpose("bandwidth", ...).to_numpy()
-        for name in ("loop_gain", "loop_phase", "sensitivity", "complementary", "gain_up", "phase_margin")
-    )
-    return [
-        Curve(f"{one.hertz:g} Hz", hertz, locus(size[k], phase[k]), left[k], passed[k], gain_up[k], margin[k])
-        for k, one in enumerate(loops)
-        if one.stable
-    ]
-
-
-def _spectra(dataset: xr.Dataset, loops: Sequence[Bandwidth], key: str) -> list[Spectrum]:
-    """Return the spectra of stable loops, that without a loop first; none of noise where there is none."""
-    hertz, values = dataset["frequency"].to_numpy(), dataset[key].to_numpy()
-    found = [
-        of_density(f"{one.hertz:g} Hz", hertz, row, flat=key == "noise_psd")
-        for one, row in zip(loops, values, strict=True)
-        if one.stable and row.any()
-    ]
-    if key == "left_psd":
-        found.insert(0, of_density("without a loop", hertz, dataset["open_psd"].to_numpy(), calm=True))
-    return found
 
 
 @rc_context(STYLE)

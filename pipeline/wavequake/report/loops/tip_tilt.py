@@ -13,15 +13,18 @@ from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, STYLE, curve_style, one_panel
-from wavequake.report.loops.frequency import Curve, logarithmic
-from wavequake.report.loops.over_frequency import SENSITIVITY, locus, loops_over_frequency, noise_picture
-from wavequake.report.loops.spectra import of_density
+from wavequake.report.loops.over_frequency import (
+    SENSITIVITY,
+    curves_of,
+    loops_over_frequency,
+    noise_picture,
+    spectra_of,
+)
+from wavequake.report.loops.spectra import Spectrum, spectra
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number, table_of_rows
 
-# The same without a loop.
-_OPEN = {"left_psd": "open_psd", "cumulative": "open_cumulative"}
 _DEFINITIONS = (
     ("exact", "From the joint stationary covariance of disturbance and loop (Van Loan, Lyapunov)."),
     ("integral", "The spectrum times 1 - sinc²(fT)(1 - |S|²) over all frequencies, and the noise."),
@@ -152,64 +155,46 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
 
 
 def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> list[Picture]:
+    rows = [(one.label, dataset.isel(case=one.row)) for one in loops]
     shown = loops_over_frequency(
         f"{rate:g}-",
-        frequency_curves(dataset, loops),
+        curves_of(rows),
         "Curves end at half the rate of frames.",
         f"{SENSITIVITY} LQG digs notches where it knows lines to be.",
+    )
+    heard = spectra_of(rows, "noise_psd") if "noise_psd" in dataset else []  # 0.3 kept none
+    words = (
+        "Noise of frames through the loop, |T|² of it, up to half the rate of frames. It adds to what is "
+        "left of the disturbance."
     )
     return [
         *shown,
         picture(
             f"spectrum-{rate:g}",
-            "Spectrum of the disturbance, and what is left of it",
-            _curves(dataset, loops, "left_psd", "spectrum (mas²/Hz)"),
-            "The thick line is the motion without a loop. What the sensor's noise adds is not in it.",
+            "Spectrum of the disturbance and of what is left, and how their rms adds up",
+            spectra(spectra_left(dataset, loops), "What is left of the line of sight", "mas"),
+            "The thick line is the motion without a loop. Below is the rms of all that is faster than a "
+            "frequency, by integrals: the residual comes from where a curve rises to the left. What the "
+            "sensor's noise adds is not in it.",
         ),
-        *_heard(dataset, rate, loops),
-        picture(
-            f"cumulative-{rate:g}",
-            "Cumulative residual over frequency",
-            _curves(dataset, loops, "cumulative", "rms below this frequency (mas)"),
-            "The residual comes from where a curve rises; the thick line is the motion without a loop. "
-            "The sensor's noise is counted from the start.",
-        ),
+        *([noise_picture(f"noise-{rate:g}", "line of sight", "mas", heard, words)] if heard else []),
     ]
 
 
-def _heard(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> list[Picture]:
-    """Draw what sensor noise does, if a store of this release keeps it and there is any."""
-    if "noise_psd" not in dataset:
-        return []
-    hertz, values = dataset["frequency"].to_numpy(), dataset["noise_psd"].to_numpy()
-    heard = [of_density(one.label, hertz, values[one.row], flat=True) for one in loops]
-    if not any(one.above[0] > 0 for one in heard):
-        return []
-    words = (
-        "Noise of frames through the loop, |T|² of it, up to half the rate of frames. It adds to what is "
-        "left of the disturbance."
-    )
-    return [noise_picture(f"noise-{rate:g}", "line of sight", "mas", heard, words)]
+def spectra_left(dataset: xr.Dataset, loops: Sequence[Loop]) -> list[Spectrum]:
+    """Return the disturbance over frequency, and what loops leave of it.
 
-
-def frequency_curves(dataset: xr.Dataset, loops: Sequence[Loop]) -> list[Curve]:
-    """Return the loops over frequency."""
-    hertz = dataset["frequency"].to_numpy()
-    size, phase, rejection, passed = (
-        dataset[name].to_numpy() for name in ("loop_gain", "loop_phase", "rejection", "passed_noise")
-    )
-    return [
-        Curve(
-            one.label,
-            hertz,
-            locus(size[one.row], phase[one.row]),
-            rejection[one.row],
-            passed[one.row],
-            one.gain_up,
-            one.phase_deg,
-        )
-        for one in loops
-    ]
+    Their rms from a frequency on upwards is of integrals: the store has those up to it, to which the noise is
+    added from the start, and that of all.
+    """
+    hertz, found = dataset["frequency"].to_numpy(), []
+    calm, own = ("open_psd", "open_cumulative", "open_mas"), ("left_psd", "cumulative", "integral_mas")
+    every = [("without a loop", loops[0].row, calm), *((one.label, one.row, own) for one in loops)]
+    for label, row, names in every:
+        density, below, whole = (dataset.isel(case=row)[name].to_numpy() for name in names)
+        above = np.sqrt(np.maximum(whole**2 - below**2, 0.0))
+        found.append(Spectrum(label, hertz, density, above, names is calm))
+    return found
 
 
 @rc_context(STYLE)
@@ -236,17 +221,4 @@ def _rates(loops: Sequence[Loop]) -> Figure:
     axes.set_ylim(bottom=0)
     axes.set(xlabel="frames per second (Hz)", ylabel="line of sight (mas rms)", title="What is left")
     axes.legend()
-    return figure
-
-
-@rc_context(STYLE)
-def _curves(dataset: xr.Dataset, loops: Sequence[Loop], name: str, label: str) -> Figure:
-    figure, axes = one_panel()
-    hertz, values = dataset["frequency"].to_numpy(), dataset[name].to_numpy()
-    axes.plot(hertz, dataset[_OPEN[name]].to_numpy(), color="#999999", linewidth=2.6, label="without a loop")
-    for place, one in enumerate(loops):
-        axes.plot(hertz, values[one.row], label=one.label, **curve_style(place))
-    logarithmic(axes)
-    axes.set(xlabel="frequency (Hz)", ylabel=label, title=label)
-    axes.legend(fontsize=7.5)
     return figure

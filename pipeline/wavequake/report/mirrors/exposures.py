@@ -18,7 +18,7 @@ from wavequake.report.mirrors.variants import few
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out
 from wavequake.report.table import MISSING, number, radius, table_of_rows
-from wavequake.workflows.mirrors.bench import any_study_of, bench_of, cases_of
+from wavequake.workflows.mirrors.bench import bench_of, cases_of, study_of
 
 Array = NDArray[np.float64]
 
@@ -152,7 +152,7 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
 def _pupil(part: xr.Dataset) -> Mask:
     """Return which part of the pupil reflects."""
     text = str(part.attrs["study"])
-    name, _ = cases_of(any_study_of(text))[int(part["case"][0])]
+    name, _ = cases_of(study_of(text))[int(part["case"][0])]
     return annulus(bench_of(text, name).optics.obscuration)
 
 

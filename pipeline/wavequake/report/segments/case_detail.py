@@ -20,15 +20,14 @@ from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report.segments.report import detail
 from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of, measured_opd
 from wavequake.workflows.exposures.telescope_exposure import case_blocks, scaled_draw
+from wavequake.workflows.kinds import study_of
 from wavequake.workflows.lens import experiment as lens
-from wavequake.workflows.lens.bench import study_of
 from wavequake.workflows.mirrors import trace as mirror
 from wavequake.workflows.mirrors.base import driven
 from wavequake.workflows.mirrors.bench import (
     bench_of,
     cases_of,
     drive_at,
-    trace_study_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.optics import displacements_mm
@@ -106,7 +105,7 @@ def _of_system(study: str, case: int, device_name: str) -> xr.Dataset:
     population, drawn = draw(bench, case)
     states, names = system_states(bench, drawn), [one.name for one in bench.system.surfaces]
     grid = (len(bench.prepared), len(bench.prepared[0]))
-    rays, count = len(bench.prepared[0][0].pupil), len(drawn.sight)
+    rays, count = len(bench.prepared[0][0].pupil), len(drawn.mount)
     instants = np.arange(count)
     if count * grid[0] * grid[1] * rays * 3 * 8 > _RAYS_BYTES:
         time = instants_of(bench.study.disturbance, population)
@@ -128,7 +127,7 @@ def _of_system(study: str, case: int, device_name: str) -> xr.Dataset:
         "surface_motion": _variable(
             ("instant", "surface", "dof"), motion, "m, rad", "motion of every surface in its frame at rest"
         ),
-        "sight": _variable(("instant", "axis"), drawn.sight, "rad", "rotation of the incoming light, drawn"),
+        "sight": _variable(("instant", "axis"), drawn.mount, "rad", "rotation of the incoming light, drawn"),
         "opd": _variable(over, opd, "nm", "optical path difference; NaN: lost"),
         "spot": _variable(
             (*over, "axis"), spot, "um", "where rays meet the image, from the chief ray at rest"
@@ -238,7 +237,7 @@ def _of_plant(study: str, case: int, device: str) -> xr.Dataset:
 
 def _of_mirror(text: str, case: int, device_name: str) -> xr.Dataset:
     """Return inputs, coordinates, figures and Zernike coefficients over time, by both methods."""
-    study, device = trace_study_of(text), choose_device(device_name)
+    study, device = study_of(text), choose_device(device_name)
     name, variant = cases_of(study)[case]
     bench, time = bench_of(text, name), study.time.seconds
     reduced, optics, clock = variant_of(bench, variant), bench.optics, Stopwatch()

@@ -1,38 +1,33 @@
 """The report of a segment-disturbance campaign: table, figures and definitions of one HTML page."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from wavequake.campaign.contract import DONE
 from wavequake.drawing.periodogram import has_spectrum
 from wavequake.errors import UserError
 from wavequake.report import figures
+from wavequake.report.certificate import ERRORS, modal_errors
 from wavequake.report.exposures.camera import CAMERA, camera_pictures
 from wavequake.report.exposures.tables import object_picture
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture
-from wavequake.report.populations import (
-    Population,
-    Summary,
-    excluded,
-    nothing_known,
-    populations,
-    summarize,
-)
+from wavequake.report.populations import Histories, Population, excluded, histories_of, nothing_known
 from wavequake.report.segments.detail import Detail
-from wavequake.report.segments.fields import base_name, of_population
+from wavequake.report.segments.fields import of_population
 from wavequake.report.statistics import FEWEST
-from wavequake.report.table import number, rows
+from wavequake.report.table import OF_OTHERS, number, row_of
 from wavequake.report.vibration import histories_and_spectra
 
 _SMALL_PRINT = (
     "Small print below a number: its 95 % confidence interval (≤, ≥: too few cases for both bounds); ± is "
-    "the standard error of the number above it. “the frame”: the circle leaves the image, whose half width "
-    "is given."
+    "the standard error of the number above it."
 )
+_FRAME = " “the frame”: the circle leaves the image, whose half width is given."
 # Term, variable of the store whose own long_name opens the definition, and how the report uses it.
 _DEFINITIONS = (
     ("WFE on glass", "wfe_rms_raw", "A case has the rms over its instants; P50 and P95 are over cases."),
@@ -89,86 +84,99 @@ _DEFINITIONS = (
 )
 
 
+# Terms of which nothing is known without images or instants.
+_OF_WHOLE = ("centroid", "jitter", "LOS model", "Strehl", "Rayleigh", "peak", "EE80", "median and worst case")
+_LISTED = 1000
+
+
 def page_of(
+    found: Sequence[Population],
     dataset: xr.Dataset,
     details: Sequence[Detail],
-    analytic: Mapping[str, tuple[float, str]] | None = None,
     more: Sequence[Picture] = (),
-    light: str = "",
+    words: str = "",
 ) -> Page:
     """Return the report of a store.
 
     Parameters
     ----------
+    found : sequence of Population
+        Those of the store.
     dataset : xarray.Dataset
         What ``open_store`` gives.
     details : sequence of Detail
         Cases to show as maps, beneath their disturbance; any number, also none.
-    analytic : mapping of str to (float, str), optional
-        Rms that a disturbance implies by its definition, and its unit: line of sight (both axes together) in
-        mas, or segments along their normals in nm.
     more : sequence of Picture
         Further figures of all disturbances together.
-    light : str
-        What to say of light that does not arrive.
+    words : str
+        What else to say of the store.
 
     Raises
     ------
     UserError
-        If the dataset is not that of a campaign, or a detail belongs to no disturbance of it.
+        If a detail belongs to no disturbance of the store.
     """
-    found = populations(dataset)
     for detail in details:
         if detail.disturbance not in [population.name for population in found]:
             raise UserError(
                 f"Case {detail.case} is of {detail.disturbance!r}, which is no disturbance of this store."
             )
-    model = analytic or {}
-    summaries = [summarize(population, model.get(base_name(population.name))) for population in found]
+    whole = any(one.whole for one in found)
     return Page(
-        answer=f"{answer(summaries)} {light}".rstrip(),
-        table=rows(summaries),
-        small_print=_SMALL_PRINT + what_is_kept(dataset),
-        overview=[*_overview(found), *more],
+        answer=f"{answer(found)} {words}".rstrip(),
+        table=[row_of(one) for one in found],
+        small_print=f"{_SMALL_PRINT}{_FRAME if whole else f' {OF_OTHERS}'}{what_is_kept(dataset)}",
+        overview=[*_overview([one for one in found if len(one.cases)]), *more],
         sections=[
             _section(place, population, details, of_population(dataset, population.name))
             for place, population in enumerate(found)
+            if whole
         ],
-        definitions=[(term, _definition(dataset, name, use)) for term, name, use in _DEFINITIONS],
+        definitions=[
+            (term, _definition(dataset, name, use))
+            for term, name, use in _DEFINITIONS
+            if whole or term not in _OF_WHOLE
+        ],
         kind="disturbance",
-        left_out=excluded(dataset),
+        left_out=excluded(dataset, found, _LISTED),
     )
 
 
-def answer(summaries: Iterable[Summary]) -> str:
+def answer(found: Sequence[Population]) -> str:
     """Say in one or two sentences which disturbance matters most."""
-    summaries = list(summaries)
-    known = [summary for summary in summaries if summary.cases]
+    known = [one for one in found if len(one.cases)]
     if not known:
-        lost = sum(summary.quarantined + summary.incomplete for summary in summaries)
+        lost = sum(_failed(one) for one in found)
         return f"No case is done: all {lost} that were computed failed." if lost else "No case is done yet."
-    worst = min(known, key=lambda summary: summary.peak_p5.value)
-    largest = max(known, key=lambda summary: summary.wfe_raw_p95.value)
-    scattered = [summary for summary in known if np.isfinite(summary.los_jitter.radial)]
-    several = len(known) > 1
-    failed = nothing_known({one.name: one.quarantined + one.incomplete for one in summaries if not one.cases})
+    largest, several = max(known, key=lambda one: one.quantile(one.wfe_raw, 0.95).value), len(known) > 1
+    failed = nothing_known({one.name: _failed(one) for one in found if not len(one.cases)})
+    wavefront, sight = _of_wavefront(largest, several), _of_sight(known, several)
+    if not largest.whole:
+        return f"{failed}{wavefront if several else f'{largest.name}: {wavefront[0].lower()}{wavefront[1:]}'}"
+    worst = min(known, key=lambda one: one.quantile(one.peak, 0.05).value)
     which = "the other " if failed else ""
     lead = f"Of {which}{len(known)} disturbances, {worst.name} costs the most" if several else worst.name
+    cases = len(worst.cases)
     dim = (
-        f"5 % of its {worst.cases} exposures have a peak below {number(worst.peak_p5.value)}"
-        if worst.cases >= FEWEST
-        else f"{_dimmest(worst.cases)} has a peak of {number(worst.peak_least)}"
+        f"5 % of its {cases} exposures have a peak below {number(worst.quantile(worst.peak, 0.05).value)}"
+        if cases >= FEWEST
+        else f"{_dimmest(cases)} has a peak of {number(float(worst.peak.min()))}"
     )
     return (
         f"{failed}{lead}: {dim} of the perfect image's, motion of the line of sight included. "
-        f"{_of_wavefront(largest, several)}{_of_sight(scattered, several)}"
+        f"{wavefront}{sight}"
     )
 
 
-def _of_sight(scattered: Sequence[Summary], several: bool) -> str:
+def _failed(one: Population) -> int:
+    return one.quarantined + len(one.incomplete)
+
+
+def _of_sight(known: Sequence[Population], several: bool) -> str:
+    scattered = [one for one in known if np.isfinite(one.los_jitter.radial)]
     if not scattered:  # single cases that stand still
         return ""
-    shaken = max(scattered, key=lambda summary: summary.los_jitter.radial)
+    shaken = max(scattered, key=lambda one: one.los_jitter.radial)
     where = f" most under {shaken.name}," if several else ""
     return f" The line of sight scatters{where} by {number(shaken.los_jitter.radial)} mas rms."
 
@@ -177,14 +185,15 @@ def _dimmest(cases: int) -> str:
     return "its only exposure" if cases == 1 else f"the dimmest of its {cases} exposures"
 
 
-def _of_wavefront(largest: Summary, several: bool) -> str:
+def _of_wavefront(largest: Population, several: bool) -> str:
     """Say how large the wavefront error of a disturbance is: of few cases, all of them."""
     who = f"The largest wavefront error is that of {largest.name}: " if several else ""
-    if largest.cases < FEWEST:
-        most = number(largest.wfe_raw_most)
-        said = f"at most {most} nm rms in {largest.cases} cases." if largest.cases > 1 else f"{most} nm rms."
+    cases = len(largest.cases)
+    if cases < FEWEST:
+        most = number(float(largest.wfe_raw.max()))
+        said = f"at most {most} nm rms in {cases} cases." if cases > 1 else f"{most} nm rms."
         return who + said if several else f"Its wavefront error is {said}"
-    bound = f"below {number(largest.wfe_raw_p95.value)} nm rms."
+    bound = f"below {number(largest.quantile(largest.wfe_raw, 0.95).value)} nm rms."
     return (
         f"{who}95 % of its cases stay {bound}"
         if several
@@ -198,32 +207,58 @@ def _definition(dataset: xr.Dataset, name: str, use: str) -> str:
 
 
 def _overview(found: Sequence[Population]) -> Iterator[Picture]:
-    if any(len(population.cases) for population in found):
-        yield picture(
-            "wfe",
-            "Distribution of the wavefront error over cases",
-            figures.distributions(found, "wfe"),
-            "The curve gives the share of cases at or below a value: further left is better; steep means "
-            "that cases hardly differ.",
-        )
+    if not found:
+        return
+    sets, whole = {one.name: one.sets for one in found}, found[0].whole
+    yield picture(
+        "wfe",
+        "Distribution of the wavefront error over cases",
+        figures.distributions(
+            {one.name: one.wfe_raw for one in found}, "WFE rms on glass of a case (nm)", sets
+        ),
+        "The curve gives the share of cases at or below a value: further left is better; steep means "
+        "that cases hardly differ.",
+    )
+    if whole:
         yield picture(
             "strehl",
             "Distribution of the Strehl ratio over instants",
-            figures.distributions(found, "strehl"),
+            figures.distributions(
+                {one.name: one.strehl for one in found}, "Strehl ratio of an instant", sets, of_instants=True
+            ),
             "The share of instants at or below a Strehl ratio: further right is better. Strehl leaves "
             "the line of sight out.",
         )
+    else:
+        yield picture(
+            "los",
+            "Distribution of the line of sight over cases",
+            figures.distributions(
+                {one.name: one.los for one in found}, "LOS, rms of a case about rest (mas)", sets
+            ),
+            "The curve gives the share of cases at or below a value: further left is better.",
+        )
+
+
+def error_pictures(dataset: xr.Dataset) -> Iterator[Picture]:
+    """Yield how the errors of wavefronts are distributed, of cases that were traced."""
+    errors = modal_errors(dataset, dataset["status"].to_numpy() == DONE) if "traced" in dataset else {}
+    in_nm = {ERRORS[name]: one for name, one in errors.items() if name not in ("los", "centroid")}
+    if in_nm:
+        label = "largest error of the modal model in a case (nm)"
+        how = "What the modal model is off by in cases that were traced in full, too: further left is better."
+        yield picture("modal-error", f"Distribution: {label}", figures.distributions(in_nm, label), how)
 
 
 def _section(place: int, population: Population, details: Sequence[Detail], dataset: xr.Dataset) -> Section:
     if not len(population.cases):
         return Section(population.name, [])
-    pictures = []
+    pictures, histories = [], histories_of(dataset, population)
     mine = [detail for detail in details if detail.disturbance == population.name]
     for detail in mine:
         of, id_ = f"of case {detail.case}", f"d{place}c{detail.case}"
         image = figures.psf_image(
-            detail.image, detail.image_x, detail.image_y, detail.case, _track(population, detail)
+            detail.image, detail.image_x, detail.image_y, detail.case, _track(population, histories, detail)
         )
         pictures += [
             picture(
@@ -273,11 +308,11 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
         picture(
             f"d{place}-time",
             "Median and worst case over time",
-            figures.history(population),
+            figures.history(population, histories),
             "Flat lines are static errors, waves are vibration; the band holds 90 % of the cases.",
         )
     )
-    pictures += _spectra(place, population, mine[0].folded if mine else "")
+    pictures += _spectra(place, population, histories, mine[0].folded if mine else "")
     return Section(population.name, pictures)
 
 
@@ -292,16 +327,16 @@ def _bent(detail: Detail, of: str, id_: str) -> Iterator[Picture]:
         )
 
 
-def _track(population: Population, detail: Detail) -> NDArray[np.float64]:
+def _track(population: Population, histories: Histories, detail: Detail) -> NDArray[np.float64]:
     """Return the line of sight (T, 2) of a case in lambda/D."""
     row = int((population.cases == detail.case).argmax())
-    return np.asarray(population.los[row] / (detail.airy_mas / 1.22))
+    return np.asarray(histories.los[row] / (detail.airy_mas / 1.22))
 
 
-def _spectra(place: int, population: Population, folded: str) -> Iterator[Picture]:
+def _spectra(place: int, population: Population, histories: Histories, folded: str) -> Iterator[Picture]:
     """Yield history and spectrum of the worst case, where it has enough instants and something moves."""
     row = population.worst_index
-    time, los, wfe = population.time_s[row], population.los[row], population.wfe_raw[row]
+    time, los, wfe = histories.time_s[row], histories.los[row], histories.wfe_raw[row]
     if not has_spectrum(time) or not (np.ptp(los, axis=0).any() or np.ptp(wfe)):
         return
     series = {

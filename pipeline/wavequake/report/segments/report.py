@@ -17,8 +17,9 @@ from wavequake.mechanics.disturbances.registry import analytic_rms
 from wavequake.optics.segments.figures import figure_terms, glass_triangles
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.prepared import trace_states
+from wavequake.report.certificate import ERRORS, certificate
 from wavequake.report.histories import what_is_kept
-from wavequake.report.populations import Summary, populations, representatives, summarize
+from wavequake.report.populations import Population, is_whole, populations, representatives
 from wavequake.report.segments.detail import Bent, Detail
 from wavequake.report.segments.fields import base_name, by_field, of_population, place_names
 from wavequake.report.segments.vignetting import stopped_light
@@ -30,48 +31,42 @@ from wavequake.workflows.segments.launches import surface_states
 if TYPE_CHECKING:
     from wavequake.report.page import Page
 
-_MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
-
-
-def is_reduced(dataset: xr.Dataset) -> bool:
-    """Return whether a store has no images or no instants, or too many instants to be in memory together."""
-    series = dataset["wfe_rms"]
-    return "exposure" not in dataset or "time" not in series.dims or series.size > _MOST_INSTANTS
+_NEAR = "They are drawn near the limit: how often it is exceeded says wavequake rare."
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     dataset = by_field(dataset)
-    if is_reduced(dataset):
-        from wavequake.report.segments import reduced  # what draws is slow to load
-
-        return reduced.table_of(store, dataset)
-    table = terminal_table(_summaries(dataset, _analytic(store)))
-    light = stopped_light(store, dataset)
-    table.caption = f"{light} {table.caption}{what_is_kept(dataset)}".lstrip()
+    table = terminal_table(_populations(store, dataset))
+    table.caption = "\n\n".join(
+        [
+            *filter(None, [stopped_light(store, dataset)]),
+            f"{table.caption}{what_is_kept(dataset)}",
+            *certificate(*_modal(store, dataset)),
+        ]
+    )
     return table
 
 
 def page_of(store: Path, dataset: xr.Dataset, device: str) -> "Page":
     """Return the HTML report.
 
-    The worst case of every disturbance is recomputed in full for the maps; its numbers are those of the
-    store, bit for bit, if the device that computed them is at hand.
+    The worst case of every disturbance is recomputed in full for the maps, where the store is whole; its
+    numbers are those of the store, bit for bit, if the device that computed them is at hand.
     """
-    from wavequake.report import uncertain
+    from wavequake.report import uncertain  # what draws is slow to load
     from wavequake.report.answers import budget
     from wavequake.report.reduced_models import model_results, verdict
     from wavequake.report.reduced_models import pictures as model_pictures
-    from wavequake.report.segments import page, reduced
+    from wavequake.report.segments import page
 
-    places, compared = place_names(dataset), bench_of(read_manifest(store).study).study.reduction
+    study = read_manifest(store).study
+    places, record = place_names(dataset), bench_of(study).study
+    compared = record.reduction
     models = model_results(dataset, compared.variants) if compared is not None else []
     largest = compared.largest if compared is not None else 0.0
     dataset = by_field(dataset)
-    if is_reduced(dataset):
-        words = verdict(models, largest).strip()
-        return reduced.page_of(store, dataset, words, list(model_pictures(models, largest)))
-    study = read_manifest(store).study
+    found = _populations(store, dataset)
     details = [
         replace(
             detail(
@@ -80,13 +75,38 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> "Page":
             ),
             disturbance=name,
         )
-        for name, (_, worst) in representatives(dataset).items()
+        for name, (_, worst) in (representatives(found).items() if is_whole(dataset) else ())
     ]
-    parts = reduced.parted_variance(store, dataset)
-    said = verdict(models, largest), uncertain.sentence(parts), stopped_light(store, dataset)
+    quantities = {"WFE on glass": "wfe_raw", "line of sight": "los"}
+    parts = uncertain.parted_results(
+        (one.name, {words: getattr(one, key)[:, None] for words, key in quantities.items()}, one.sets)
+        for one in found
+        if record.structure is not None
+    )
+    modal = _modal(store, dataset)
+    near = "log_weight" in dataset.variables
+    said = (
+        verdict(models, largest),
+        uncertain.sentence(parts),
+        stopped_light(store, dataset),
+        *certificate(*modal),
+        _NEAR if near else "",
+    )
     words = " ".join(one.strip() for one in said if one)
-    more = [*model_pictures(models, largest), *uncertain.pictures(parts), *budget.pictures(store)]
-    return page.page_of(dataset, details, _analytic(store), more, words)
+    more = [
+        *page.error_pictures(modal[1]),
+        *model_pictures(models, largest),
+        *uncertain.pictures(parts),
+        *budget.pictures(store),
+    ]
+    return page.page_of(found, dataset, details, more, words)
+
+
+def _modal(store: Path, dataset: xr.Dataset) -> tuple[float, xr.Dataset]:
+    """Return the tolerance of the modal model, and what a store has of its errors, in memory."""
+    names = ["status", "traced", *(f"modal_error_{name}" for name in ERRORS)]
+    found = dataset[[name for name in names if name in dataset]].load()
+    return bench_of(read_manifest(store).study).study.optics.modal_tolerance_nm, found
 
 
 def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset, place: int = 0) -> Detail:
@@ -133,14 +153,10 @@ def _bent(bench: Bench, figure: NDArray[np.float64], instants: int) -> Bent | No
     return Bent(points, faces, np.stack(heights))
 
 
-def _summaries(dataset: xr.Dataset, analytic: dict[str, tuple[float, str]]) -> list[Summary]:
-    return [
-        summarize(population, analytic.get(base_name(population.name))) for population in populations(dataset)
-    ]
-
-
-def _analytic(store: Path) -> dict[str, tuple[float, str]]:
-    """Return the rms, and its unit, of every disturbance that has one by its parameters alone."""
+def _populations(store: Path, dataset: xr.Dataset) -> tuple[Population, ...]:
+    """Return the populations of a store, with the rms that their disturbances imply by their parameters."""
     bench = bench_of(read_manifest(store).study)
-    values = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
-    return {name: value for name, value in values.items() if value is not None}
+    known = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
+    names = map(str, dict.fromkeys(dataset["disturbance"].to_numpy().tolist()))
+    models = {name: model for name in names if (model := known.get(base_name(name)))}
+    return populations(dataset, models)

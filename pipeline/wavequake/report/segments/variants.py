@@ -19,15 +19,11 @@ from wavequake.report.mirrors.variants import ModelResult, VariantResult, repres
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import left_out
 from wavequake.report.segments.detail import Detail
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.mirrors.segment_body import variant_of
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
 from wavequake.workflows.segments.mor import SHAKEN, at_rest, launches
-from wavequake.workflows.segments.mor_bench import (
-    chosen_segments,
-    model_of,
-    motions,
-    reduced,
-    study_of,
-)
+from wavequake.workflows.segments.mor_bench import chosen_segments, model_of, motions
 
 Array = NDArray[np.float64]
 
@@ -161,7 +157,7 @@ def detail(
     bench, parts = model.bench, []
     alone = study.model_copy(update={"excitation": study.excitation[excitation : excitation + 1]})
     with threadpool_limits(1):
-        for variant in [model.reference, *([reduced(model, less.variant)] if less else [])]:
+        for variant in [model.reference, *([variant_of(model, less.variant)] if less else [])]:
             moved = motions(alone, model, variant, which.tolist())[0, instant]
             (launched,) = launches(bench, which, moved[None], choose_device(device_name))
             spot = np.stack([launched[2].x[0, :, 0], launched[2].y[0, :, 0]], axis=1)

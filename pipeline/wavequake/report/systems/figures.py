@@ -1,6 +1,6 @@
 """Figures of a system-disturbance store: spots, distributions and maps over the field."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,46 +11,12 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from wavequake.drawing.style import hover
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, curve_style, one_panel
-from wavequake.report.statistics import distribution
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, one_panel
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]
 
 _MOST_PANELS = 9
-_FAR_APART = 30.0  # medians that differ by more have no room beside each other but on a scale of powers
-
-
-@rc_context(STYLE)
-def distributions(
-    values: Mapping[str, Array], label: str, sets: Mapping[str, NDArray[np.int64] | None] | None = None
-) -> Figure:
-    """Draw the empirical distribution functions of values by name, each with its 95 % band."""
-    figure, axes = one_panel()
-    for index, (name, samples) in enumerate(values.items()):
-        found = distribution(samples, sets=(sets or {}).get(name))
-        color = COLORS[index % len(COLORS)]
-        axes.fill_between(found.values, found.low, found.high, step="post", color=color, alpha=0.12, lw=0)
-        axes.step(
-            np.append(found.values[:1], found.values),
-            np.append(0.0, found.probability),
-            where="post",
-            label=name,
-            **curve_style(index),
-        )
-    axes.set_ylim(0, 1)
-    medians = [float(np.median(samples)) for samples in values.values()]
-    if min(medians) > 0 and max(medians) > _FAR_APART * min(medians):
-        axes.set_xscale("log")
-    else:
-        low, high = axes.get_xlim()
-        middle = 0.5 * (low + high)
-        reach = max(0.5 * (high - low), 1e-3 * abs(middle))  # tables have three digits: alike is one line
-        axes.set_xlim(middle - reach, middle + reach)
-    axes.set_xlabel(label)
-    axes.set_ylabel("share of cases")
-    axes.legend()
-    return figure
 
 
 @rc_context(STYLE)

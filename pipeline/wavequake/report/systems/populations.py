@@ -26,10 +26,10 @@ _INSTANTS = 2**20  # about the most whose Strehl ratios a median is taken of
 class FieldResult:
     """What one population does at one field point, at the primary wavelength.
 
-    ``wfe``, ``raw`` (of the rays that arrive), ``change`` (nm) and ``spot`` (um) hold the rms over its
-    instants of each case, (C,); ``sets`` the stratified set of each, if cases are not independent; ``peak``
-    and ``ee80`` (lambda/D) are of the exposures (C,), where there are images, and ``peak_at_rest`` of the
-    design itself.
+    ``wfe``, ``raw`` (of the rays that arrive), ``change`` (nm), ``spot`` (um) and ``moved`` (line of sight,
+    distance from rest, mm) hold the rms over its instants of each case, (C,); ``sets`` the stratified set of
+    each, if cases are not independent; ``peak`` and ``ee80`` (lambda/D) are of the exposures (C,), where
+    there are images, and ``peak_at_rest`` of the design itself.
     """
 
     field: str
@@ -38,6 +38,7 @@ class FieldResult:
     spot: Array
     strehl_p50: float
     marechal: float
+    moved: Array
     los: Jitter
     vignetted: int
     raw: Array
@@ -159,6 +160,7 @@ def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]])
             spot=values["spot_rms"][:, index],
             strehl_p50=float(np.median(values["strehl"][:, index])),
             marechal=float(marechal[:, index].mean()),
+            moved=np.sqrt((values["los_mean"][:, index] ** 2 + values["los_variance"][:, index]).sum(axis=1)),
             los=jitter_of_cases(
                 values["los_mean"][:, index] * 1e3, values["los_variance"][:, index] * 1e6, sets
             ),
@@ -182,16 +184,17 @@ def peaks_at_rest(dataset: xr.Dataset) -> Array:
     return found
 
 
-def parted_variance(dataset: xr.Dataset, bench: SystemBench) -> list[PartedResult]:
+def parted_variance(found: Sequence[SystemPopulation]) -> list[PartedResult]:
     """Return the parts of the variance by excitation and by what is not known of the structure."""
-    if bench.study.structure.uncertain is None or "replicate" not in dataset.coords:
-        return []
-    light = dataset.isel(wavelength=bench.system.primary_wavelength)
-    found = {}
-    for key, words in (("wfe_change", "WFE change"), ("los_mm", "line of sight")):
-        if key in light and "time" in light[key].dims:
-            square = light[key] ** 2
-            square = square.sum("axis", skipna=False) if "axis" in square.dims else square
-            found[words] = np.sqrt(square.mean("time").transpose("case", "field").to_numpy())
-    full = dataset["reduction"].to_numpy() == FULL if "reduction" in dataset else None
-    return parted_results(dataset, found, full)
+    return parted_results(
+        (
+            one.name,
+            {
+                words: np.stack([getattr(field, key) for field in one.fields], axis=1)
+                for words, key in (("WFE change", "change"), ("line of sight", "moved"))
+            },
+            one.fields[0].sets,
+        )
+        for one in found
+        if one.fields
+    )

@@ -23,6 +23,7 @@ from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report import uncertain
 from wavequake.report.answers import budget
 from wavequake.report.certificate import certificate
+from wavequake.report.figures import distributions
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture
 from wavequake.report.populations import frame_of, left_out, nothing_known
@@ -116,7 +117,8 @@ def page_of(store: Path, dataset: xr.Dataset, device: str) -> Page:
     rows = [*_at_rest(dataset, bench)]
     frame = frame_of(dataset)
     rows += [_row(population, one, bench, frame) for population in found for one in population.fields]
-    parts, compared = parted_variance(dataset, bench), bench.study.reduction
+    compared, uncertain_parts = bench.study.reduction, bench.study.structure.uncertain is not None
+    parts = parted_variance(found) if uncertain_parts else []
     light = dataset.isel(wavelength=bench.system.primary_wavelength)
     models = model_results(light, compared.variants) if compared is not None else []
     largest = compared.largest if compared is not None else 0.0
@@ -147,7 +149,7 @@ def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:
     if any(len(one.cases) for one in found):
         sets = {one.name: one.fields[0].sets for one in found if one.fields}
         what = _error(found)[1]
-        figure = draw_figures.distributions(_worst_fields(found), f"{what} of a case (nm), worst field", sets)
+        figure = distributions(_worst_fields(found), f"{what} of a case (nm), worst field", sets)
         yield picture(
             "distributions",
             f"Distribution of the {what} under all disturbances",
@@ -319,7 +321,7 @@ def _figures(
     errors = [getattr(one, which) for one in population.fields]
     fields = [one.field for one in population.fields]
     sets = {one.field: one.sets for one in population.fields}
-    figure = draw_figures.distributions(dict(zip(fields, errors, strict=True)), f"{label} (nm)", sets)
+    figure = distributions(dict(zip(fields, errors, strict=True)), f"{label} (nm)", sets)
     yield picture(
         f"{name}-wfe",
         f"Distribution of the {label} by field, {name}",

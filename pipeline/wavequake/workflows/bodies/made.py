@@ -21,12 +21,10 @@ from wavequake.optics.systems.bodies import surface_index
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
-from wavequake.reduction.names import parse
-from wavequake.reduction.two_stage import covers, reduce_variants, reference
 from wavequake.workflows.bodies.mirrors import glass_side, material_of, mirror_behind
 from wavequake.workflows.bodies.sections import BodySection, ModesBodySection
+from wavequake.workflows.mirrors.compared_models import reduced_model
 from wavequake.workflows.mirrors.model_store import digest, kept_intermediate, kept_model
-from wavequake.workflows.mirrors.study import FULL
 
 Array = NDArray[np.float64]
 
@@ -188,7 +186,10 @@ def behind(
     one: BodySection, elastic: Elastic, variant: str, system: OpticalSystem, optical: OpticalBody | None
 ) -> Body:
     """Return a reduced model of an elastic body at its place behind its first surface."""
-    model = reference(elastic.stage) if variant == FULL else _variant(one.name, elastic, variant)
+    try:
+        model = reduced_model(elastic.stage, elastic.full, variant)
+    except UserError as error:
+        raise UserError(f"The body {one.name!r}: {error}") from None
     nodes = {str(number + 1): int(place) for number, place in enumerate(shifts(model))}
     turns = {str(number + 1): int(place) for number, place in enumerate(model.turns)}
     if optical is None:
@@ -243,14 +244,6 @@ def _seen_modes(
         raise UserError(f"The body {one.name!r} behind {one.surfaces[0]!r}: {error}") from None
     moved = given.model.inputs[:, : 3 * len(points)].reshape(len(given.model.inputs), -1, 3)[:, seen]
     return _outputs(one, fit, moved * MM_PER_M @ rotation, (rotation, _m(surface.position)), optical)
-
-
-def _variant(name: str, elastic: Elastic, variant: str) -> ReducedModel:
-    try:
-        whole = None if covers(elastic.stage, parse(variant)) else elastic.full()
-        return reduce_variants(elastic.stage, [variant], whole)[0]
-    except UserError as error:
-        raise UserError(f"The body {name!r}: {error}") from None
 
 
 def _fit(

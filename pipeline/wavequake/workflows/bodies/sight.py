@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import orth
-from threadpoolctl import threadpool_limits
 
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.device.tiles import padded
@@ -62,13 +61,12 @@ def _per_output(study_text: str, model: str) -> Array:
     """Return the line of sight (2, m), rad, per m or rad of what bodies do, as far as their modes do it."""
     bench = bench_of(study_text)
     plant = bench.bodies.plants[model]
-    with threadpool_limits(1):
-        able = np.hstack([plant.shapes, plant.carried])
-        sizes = np.linalg.norm(able, axis=0)
-        able = able[:, sizes > 0.0] / sizes[sizes > 0.0]
-        basis = np.eye(len(able)) if len(able) <= able.shape[1] else orth(able)
-        steps = _STEP * basis.T
-        found = [_seen(bench, plant, steps[first : first + _ROWS]) for first in range(0, len(steps), _ROWS)]
+    able = np.hstack([plant.shapes, plant.carried])
+    sizes = np.linalg.norm(able, axis=0)
+    able = able[:, sizes > 0.0] / sizes[sizes > 0.0]
+    basis = np.eye(len(able)) if len(able) <= able.shape[1] else orth(able)
+    steps = _STEP * basis.T
+    found = [_seen(bench, plant, steps[first : first + _ROWS]) for first in range(0, len(steps), _ROWS)]
     return np.asarray(np.concatenate(found).T / _STEP @ basis.T)
 
 

@@ -1,69 +1,39 @@
 """The budget of a segment-disturbance study: sources and rings of segments, on, off and drawn again."""
 
-from collections.abc import Sequence, Set
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE
+from wavequake.campaign.measures import template_of
 from wavequake.chain.images.streak import times_between
 from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.mechanics.disturbances.motion import Motion, add, scaled
+from wavequake.mechanics.disturbances.motion import Motion, scaled
 from wavequake.mechanics.disturbances.registry import (
     Combine,
     draw,
     draw_sight,
-    instants_of,
     parts,
     randoms_of,
 )
 from wavequake.mechanics.disturbances.source import Source, time_axis_of
 from wavequake.mechanics.disturbances.streams import own_streams
-from wavequake.workflows.budgets.elements import moving_elements, only_elements, with_element
+from wavequake.workflows.budgets.elements import Factors, time_of, variants
 from wavequake.workflows.budgets.factors import AGAIN, Experiment, Factor, chosen
 from wavequake.workflows.budgets.kept import LOSSES
-from wavequake.workflows.budgets.tree import SIGHT, Branch, Part, branches_of, require_free_names
+from wavequake.workflows.budgets.tree import SIGHT, Branch
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.disturbance import trace_draws
 from wavequake.workflows.segments.launches import CaseDraw
-from wavequake.workflows.segments.study import SegmentStudy, without_images
-from wavequake.workflows.segments.template import traced
+from wavequake.workflows.segments.study import TRACED, SegmentStudy, without_images
+from wavequake.workflows.segments.template import axes, traced_measures
 from wavequake.workflows.study import study_with
 
 Array = NDArray[np.float64]
 
 QUANTITIES = ("wfe_rms_raw", "wfe_rms", "los")
 _AT_ONCE = 64  # draws that are in memory together
-
-
-_TRACED = {
-    "optics.light": "traced",
-    "store.reduce": "none",
-    "store.every": 1,
-    "store.keep": [],
-    "campaign.sampling": "random",
-    "campaign.until": None,
-}
-
-
-@dataclass(frozen=True)
-class Factors:
-    """Sources of a sum of disturbances, and what they move.
-
-    ``rings`` (S,) is the number of each segment's ring, from 1; ``surfaces`` are the names of those after M1
-    that move.
-    """
-
-    sources: tuple[Source, ...]
-    rings: NDArray[np.int64]
-    surfaces: tuple[str, ...] = ()
-
-    @property
-    def ring_numbers(self) -> list[int]:
-        """Rings that there are; none where all segments are in one."""
-        found: list[int] = np.unique(self.rings).tolist()
-        return found if len(found) > 1 else []
 
 
 def rings_of(layout: SegmentLayout) -> NDArray[np.int64]:
@@ -78,90 +48,6 @@ def rings_of(layout: SegmentLayout) -> NDArray[np.int64]:
     pitch = np.median(np.where(apart > 0.0, apart, np.inf).min(axis=1))
     number = np.rint(np.linalg.norm(centers, axis=1) / pitch).astype(np.int64)
     return np.unique(number, return_inverse=True)[1].astype(np.int64) + 1
-
-
-def variants(
-    population: Combine,
-    factors: Factors,
-    layout: SegmentLayout,
-    seed: int,
-    realization: int,
-    branches: Sequence[Branch] = (),
-) -> list[Motion]:
-    """Return the motions of one case: of all factors, of all drawn again, without each, with each redrawn.
-
-    And those of each group alone.
-    """
-    time = time_of(population, factors.sources)
-
-    def drawn(part: Source) -> Motion:
-        return draw(part, layout, time, randoms_of(part, len(layout), seed, realization))
-
-    still = scaled(add([drawn(part) for part in factors.sources[:1]]), 0.0)
-    one = [drawn(part) for part in factors.sources]
-    other = [drawn(part.model_copy(update={"name": part.name + AGAIN})) for part in factors.sources]
-
-    def total(motions: Sequence[Motion]) -> Motion:
-        return add([still, *motions])
-
-    indices = range(len(one))
-    without = [total([one[k] for k in indices if k != i]) for i in indices]
-    redrawn = [total([other[k] if k == i else one[k] for k in indices]) for i in indices]
-    for ring in factors.ring_numbers:
-        mine = factors.rings == ring
-        without.append(_with_segments(total(one), still, mine))
-        ringwise = [
-            _with_segments(first, second, mine) if part.independent == "element" else first
-            for part, first, second in zip(factors.sources, one, other, strict=True)
-        ]
-        redrawn.append(total(ringwise))
-    for name in factors.surfaces:
-        without.append(with_element(total(one), still, name))
-        redrawn.append(
-            total(
-                [
-                    with_element(first, second, name) if part.independent == "element" else first
-                    for part, first, second in zip(factors.sources, one, other, strict=True)
-                ]
-            )
-        )
-    names = [part.name for part in factors.sources]
-    alone = [
-        total(
-            [
-                _of_elements(motion, layout, {element for source, element in branch.parts if source == name})
-                for name, motion in zip(names, one, strict=True)
-            ]
-        )
-        for branch in branches
-    ]
-    return [total(one), total(other), *without, *redrawn, *alone]
-
-
-def _of_elements(motion: Motion, layout: SegmentLayout, mine: Set[str]) -> Motion:
-    """Return a motion in which some elements move alone."""
-    moved = np.array([name in mine for name in layout.names], dtype=bool)[:, None]
-    sight = float(SIGHT in mine)
-    return replace(
-        only_elements(motion, mine),
-        segment_motion=np.where(moved, motion.segment_motion, 0.0),
-        segment_figure=np.where(moved, motion.segment_figure, 0.0),
-        mount=sight * motion.mount,
-        m2=sight * motion.m2,
-    )
-
-
-def moving_parts(drawn: Sequence[tuple[str, Motion]], layout: SegmentLayout) -> frozenset[Part]:
-    """Return which elements each of some disturbances moves."""
-    found: set[Part] = set()
-    for source, motion in drawn:
-        bent = np.atleast_2d(motion.segment_figure.any(axis=-1)).any(axis=0)
-        moved = motion.segment_motion.any(axis=(0, 2)) | bent
-        found |= {(source, layout.names[place]) for place in np.flatnonzero(moved)}
-        found |= moving_elements(source, motion)
-        if motion.mount.any() or motion.m2.any():
-            found.add((source, SIGHT))
-    return frozenset(found)
 
 
 def ways(
@@ -201,27 +87,12 @@ def ways(
     return [each if any(part.sight for part in factors.sources) else None for each in found]
 
 
-def _with_segments(motion: Motion, other: Motion, mine: NDArray[np.bool_]) -> Motion:
-    """Return a motion in which some segments move as in another."""
-    motion, other = add([motion, scaled(other, 0.0)]), add([other, scaled(motion, 0.0)])
-    return replace(
-        motion,
-        segment_motion=np.where(mine[:, None], other.segment_motion, motion.segment_motion),
-        segment_figure=np.where(mine[:, None], other.segment_figure, motion.segment_figure),
-    )
-
-
 def moves_segments_together(source: Source, layout: SegmentLayout) -> bool:
     """Return whether a source moves segments, and those not independently of each other."""
     if source.independent == "element":
         return False
     randoms = randoms_of(source, len(layout), 0, 0)
     return bool(draw(source, layout, time_axis_of(source)[:1], randoms).segment_motion.any())
-
-
-def time_of(population: Combine, sources: Sequence[Source]) -> Array:
-    """Return the instants (n,) of a sum of sources, which may be no population of the study, s."""
-    return instants_of(sources, population.model_copy(update={"of": tuple(one.name for one in sources)}))
 
 
 def evaluate(
@@ -251,19 +122,6 @@ def evaluate(
     return np.concatenate(found)
 
 
-def _moving(
-    study: SegmentStudy, population: Combine, sources: Sequence[Source], layout: SegmentLayout
-) -> frozenset[Part]:
-    """Return which elements each disturbance moves in the first case, if groups ask for it."""
-    if study.budget is None:
-        return frozenset()
-    time, seed = time_of(population, sources), study.study.seed
-    drawn = [
-        (part.name, draw(part, layout, time, randoms_of(part, len(layout), seed, 0))) for part in sources
-    ]
-    return moving_parts(drawn, layout)
-
-
 def rms_of(name: str, values: Array) -> Array:
     """Return the rms over the instants of cases (B, ...) of a measure, of vectors that of their lengths.
 
@@ -290,11 +148,11 @@ def experiment(
     """
     study.require_one_place("A budget is")
     if measure is None:
-        traced_study = study_with(without_images(study), _TRACED)
+        traced_study = study_with(without_images(study), TRACED)
     else:
-        traced_study = study_with(study, _TRACED | {"imaging.enabled": True})
+        traced_study = study_with(study, TRACED | {"imaging.enabled": True})
     bench = bench_of(traced_study.identity_text())
-    quantities, units = chosen(measure, QUANTITIES, traced(bench.text))
+    quantities, units = chosen(measure, QUANTITIES, template_of(traced_measures(bench), axes(bench)).per_case)
     found, segments = tuple(parts(study.disturbance, population)), len(bench.layout)
     moved = dict.fromkeys(name for part in found for name in part.elements(bench.layout))
     surfaces = tuple(name for name in moved if name not in bench.layout.names)
@@ -305,14 +163,13 @@ def experiment(
         Factor(f"ring {ring}", "ring", int(np.count_nonzero(factors.rings == ring)), independent=not together)
         for ring in factors.ring_numbers
     ]
-    whole = {name for part in found if part.independent == "whole" for name in part.elements(bench.layout)}
-    elements = [Factor(name, "element", 1, independent=name not in whole) for name in surfaces]
+    elements = factors.elements(bench.layout)
     inside = {
         f"ring {ring}": [bench.layout.names[place] for place in np.flatnonzero(factors.rings == ring)]
         for ring in factors.ring_numbers
     }
-    require_free_names(study.budget, [factor.name for factor in (*sources, *rings, *elements)])
-    branches = branches_of(study.budget, _moving(study, population, found, bench.layout), inside)
+    names = [factor.name for factor in (*sources, *rings, *elements)]
+    branches = factors.branches(study, population, bench.layout, names, inside)
     count = 2 + 2 * (len(sources) + len(rings) + len(elements)) + len(branches)
 
     def drawn(realization: int) -> list[Motion]:

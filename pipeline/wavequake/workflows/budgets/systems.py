@@ -1,6 +1,6 @@
 """The budget of a system-disturbance study: its sources and the surfaces and bodies that they move."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,18 +10,13 @@ from wavequake.campaign.measures import template_of
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.system import SystemImager
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.element_motion import (
-    ElementMotion,
-    add_elements,
-    draw_elements,
-)
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
+from wavequake.mechanics.disturbances.motion import Motion, still
 from wavequake.mechanics.disturbances.registry import Combine, instants_of, parts
 from wavequake.mechanics.disturbances.source import Source
-from wavequake.workflows.budgets.elements import moving_elements, only_elements, with_element
-from wavequake.workflows.budgets.factors import AGAIN, Experiment, Factor, chosen
+from wavequake.workflows.budgets.elements import Factors, variants
+from wavequake.workflows.budgets.factors import Experiment, Factor, chosen
 from wavequake.workflows.budgets.kept import LOSSES
-from wavequake.workflows.budgets.tree import SIGHT, Branch, Part, branches_of, require_free_names
 from wavequake.workflows.systems.bench import SystemBench, imager_on, system_bench
 from wavequake.workflows.systems.measure import measured_cases
 from wavequake.workflows.systems.measures import axes, measures
@@ -35,80 +30,19 @@ _OF_IMAGES = ("peak", "ee50", "ee80")
 _UM_PER_MM = 1e3
 
 
-def elements_of(sources: Sequence[Source], layout: SegmentLayout = NO_SEGMENTS) -> list[str]:
+def elements_of(sources: Sequence[Source], layout: SegmentLayout = NO_SEGMENTS) -> tuple[str, ...]:
     """Return the surfaces and bodies that disturbances move or deform, in the order of their mention.
 
     None if it is one alone, whose share is that of its disturbances.
     """
-    found = list(dict.fromkeys(name for part in sources for name in part.elements(layout)))
-    return found if len(found) > 1 else []
-
-
-def variants(
-    population: Combine,
-    sources: Sequence[Source],
-    seed: int,
-    realization: int,
-    layout: SegmentLayout = NO_SEGMENTS,
-    branches: Sequence[Branch] = (),
-    time: Array | None = None,
-) -> list[ElementMotion]:
-    """Return the motions of one case: of all factors, of all drawn again, without each, with each redrawn.
-
-    And those of each group alone. At the instants of the population, or at others given as `time`.
-    """
-    if time is None:
-        whole = population.model_copy(update={"of": tuple(part.name for part in sources)})
-        time = instants_of(sources, whole)
-    again = [part.model_copy(update={"name": part.name + AGAIN}) for part in sources]
-
-    def total(chosen: Sequence[Source]) -> ElementMotion:
-        if not chosen:
-            return ElementMotion({}, {}, np.zeros((len(time), 2)))
-        names = tuple(part.name for part in chosen)
-        whole = population.model_copy(update={"of": names})
-        return draw_elements(chosen, whole, seed, realization, time=time, layout=layout)
-
-    one, other = total(sources), total(again)
-    indices = range(len(sources))
-    without = [total([sources[k] for k in indices if k != i]) for i in indices]
-    redrawn = [total([again[k] if k == i else sources[k] for k in indices]) for i in indices]
-    for name in elements_of(sources, layout):
-        without.append(with_element(one, ElementMotion({}, {}, one.sight), name))
-        redrawn.append(with_element(one, other, name))
-    alone = [_alone([(part.name, total([part])) for part in sources], branch) for branch in branches]
-    return [one, other, *without, *redrawn, *alone]
-
-
-def _alone(drawn: Sequence[tuple[str, ElementMotion]], branch: Branch) -> ElementMotion:
-    """Return what a group moves, of the motions of all disturbances."""
-    found = ElementMotion({}, {}, np.zeros_like(drawn[0][1].sight))
-    for source, motion in drawn:
-        mine = {element for name, element in branch.parts if name == source}
-        found = add_elements(found, _of_elements(motion, mine))
-    return found
-
-
-def _of_elements(motion: ElementMotion, mine: Set[str]) -> ElementMotion:
-    """Return a motion in which some elements move alone."""
-    sight = motion.sight if SIGHT in mine else np.zeros_like(motion.sight)
-    return replace(only_elements(motion, mine), sight=sight)
-
-
-def moving_parts(drawn: Sequence[tuple[str, ElementMotion]]) -> frozenset[Part]:
-    """Return which elements each of some disturbances moves."""
-    found: set[Part] = set()
-    for source, motion in drawn:
-        found |= moving_elements(source, motion)
-        if motion.sight.any():
-            found.add((source, SIGHT))
-    return frozenset(found)
+    found = tuple(dict.fromkeys(name for part in sources for name in part.elements(layout)))
+    return found if len(found) > 1 else ()
 
 
 def evaluate(
     bench: SystemBench,
     time: Array,
-    motion: ElementMotion,
+    motion: Motion,
     device: str,
     quantities: Sequence[str] = QUANTITIES,
     imager: SystemImager | None = None,
@@ -158,28 +92,19 @@ def experiment(
             prepared=tuple((row[light],) for row in bench.prepared),
             static=tuple((row[light],) for row in bench.static),
         )
-    sources = parts(study.disturbance, population)
-    names, time = elements_of(sources, bench.layout), instants_of(study.disturbance, population)
+    sources = tuple(parts(study.disturbance, population))
+    time = instants_of(study.disturbance, population)
+    varied = Factors(sources, surfaces=elements_of(sources, bench.layout))
     factors = [Factor(part.name, "source", len(part.elements(bench.layout))) for part in sources]
-    together = {
-        name for part in sources if part.independent == "whole" for name in part.elements(bench.layout)
-    }
-    factors += [Factor(name, "element", 1, independent=name not in together) for name in names]
-
-    def drawn(part: Source) -> ElementMotion:
-        alone = population.model_copy(update={"of": (part.name,)})
-        return draw_elements(sources, alone, study.study.seed, 0, time=time, layout=bench.layout)
-
-    moving = moving_parts([(part.name, drawn(part)) for part in sources]) if study.budget else frozenset()
-    require_free_names(study.budget, [factor.name for factor in factors])
-    branches = branches_of(study.budget, moving, {})
-
+    factors += varied.elements(bench.layout)
+    names = [factor.name for factor in factors]
+    branches = varied.branches(study, population, bench.layout, names, {})
     between = None if imager is None else streaked_times(study, population)
 
     def case_of(realization: int) -> list[Array]:
-        def moved(at: Array | None = None) -> list[ElementMotion]:
+        def moved(at: Array | None = None) -> list[Motion]:
             seed = study.study.seed
-            return variants(population, sources, seed, realization, bench.layout, branches, at)
+            return variants(population, varied, bench.layout, seed, realization, branches, at)
 
         motions = moved()
         away = [places_of_rows(bench, population, one) for one in motions]
@@ -194,8 +119,7 @@ def experiment(
         return np.array([case_of(one) for one in range(first, last)])
 
     def rest() -> Array:
-        still = ElementMotion({}, {}, np.zeros((len(time), 2)))
-        return evaluate(bench, time, still, device, quantities, imager)
+        return evaluate(bench, time, still(len(time)), device, quantities, imager)
 
     return Experiment(
         tuple(factors),

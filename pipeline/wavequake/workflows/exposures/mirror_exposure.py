@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import ChunkResult, StudyKind, Template
-from wavequake.campaign.measures import Axis, Measure, stored, template_of
-from wavequake.campaign.one_by_one import one_by_one
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
+from wavequake.campaign.measures import Axis, Measure, stored
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.coherent import LitObject, lit_by_cells, mean_image
 from wavequake.chain.images.extended import check_object, lit_object_words, object_image
 from wavequake.chain.images.shortcuts import (
@@ -34,16 +33,16 @@ from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
-from wavequake.workflows.mirrors import bench as mirror_bench
 from wavequake.workflows.mirrors.bench import (
     aberrations_over_time,
     bench_of,
-    case_table,
+    case_labels,
     cases_of,
     check_variants_of,
     imager_of,
     import_notices,
     import_record,
+    study_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.optics import Optics, optical_rows
@@ -54,14 +53,12 @@ Array = NDArray[np.float64]
 _BLOCK = 32
 
 
-def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Expose the images of the variants `cases`; one that does not suit the model is quarantined."""
-    variants, device = cases_of(study_of(study_text)), choose_device(device_name)
-    return one_by_one(
-        template(study_text).per_case,
-        cases,
-        lambda case: exposed_variant(study_text, *variants[case], device),
-    )
+def compute(
+    study: MirrorExposureStudy, table: CaseTable, device_name: str, clock: Stopwatch
+) -> Iterator[Block]:
+    """Expose the images of variants; one that does not suit the model is quarantined."""
+    text, device, variants = study.identity_text(), choose_device(device_name), cases_of(study)
+    return one_by_one(table["case"], lambda case: exposed_variant(text, *variants[case], device))
 
 
 def exposed_variant(study_text: str, model: str, variant: str, device: Device = NUMPY) -> dict[str, Any]:
@@ -90,20 +87,12 @@ def exposed_variant(study_text: str, model: str, variant: str, device: Device = 
     }
 
 
-def study_of(study_text: str) -> MirrorExposureStudy:
-    """Rebuild a study from its identity."""
-    study = mirror_bench.study_of(study_text)
-    assert isinstance(study, MirrorExposureStudy)
-    return study
-
-
 @prepared(maxsize=2)
 def aberrations_of(study_text: str, model: str, variant: str) -> Array:
     """Return what a variant does over time, (excitation, time, 2 + J): line of sight in mm, terms in nm."""
-    with threadpool_limits(1):
-        bench = bench_of(study_text, model)
-        reduced = variant_of(bench, variant)
-        return aberrations_over_time(study_of(study_text), reduced, optical_rows(bench.optics, reduced))
+    bench = bench_of(study_text, model)
+    reduced = variant_of(bench, variant)
+    return aberrations_over_time(study_of(study_text), reduced, optical_rows(bench.optics, reduced))
 
 
 def exposed_instants(study: MirrorExposureStudy) -> NDArray[np.intp]:
@@ -220,18 +209,17 @@ def _wavefront_error(aberrations: Array) -> Array:
     return np.asarray(np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1)))
 
 
-def template(study_text: str) -> Template:
-    """Return what a store of this study holds."""
-    study = study_of(study_text)
-    axes = {
+def axes(study: MirrorExposureStudy) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
+    return {
         "time": Axis(study.time.seconds, "time", "s"),
         "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
         **exposure_axes(study.imaging.pixels, study.imaging.sampling),
     }
-    return template_of(_measures(study), axes, import_record(study_text))
 
 
-def _measures(study: MirrorExposureStudy) -> Iterator[Measure]:
+def measures(study: MirrorExposureStudy) -> Iterator[Measure]:
+    """Yield the measures of a variant."""
     history, frame = ("excitation", "time"), ("y", "x")
     yield stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4, not scaled", history)
     words = "rms of the difference of wavefronts from the reference's, j >= 4"
@@ -249,9 +237,9 @@ def _measures(study: MirrorExposureStudy) -> Iterator[Measure]:
     yield stored("resolution_mm", "mm", words)
 
 
-def check(study_text: str) -> None:
+def check(study: MirrorExposureStudy) -> None:
     """Raise UserError for a study that no variant of can succeed: model, reference or optics do not fit."""
-    study = study_of(study_text)
+    text = study.identity_text()
     if study.object:
         check_object(study.object, study.imaging.pixels, study.imaging.sampling)
     imaging = study.imaging
@@ -263,21 +251,20 @@ def check(study_text: str) -> None:
             f"{field:g} lambda/D wide, for light that moves in; set it to at least {int(np.ceil(field))}"
         )
     for name in study.models:
-        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
-        aberrations_of(study_text, name, study.reduction.reference)
+        check_variants_of(study, bench_of(text, name), study.reduction.variants)
+        aberrations_of(text, name, study.reduction.reference)
 
 
-def notices(study_text: str) -> Iterator[str]:
+def notices(study: MirrorExposureStudy) -> Iterator[str]:
     """Yield what to check of an imported model, and models whose phases the pupil's samples do not resolve.
 
     What all variants do is judged by the reference.
     """
-    yield from import_notices(study_text)
-    study = study_of(study_text)
-    section, instants = study.imaging, exposed_instants(study)
+    yield from import_notices(study)
+    text, section, instants = study.identity_text(), study.imaging, exposed_instants(study)
     for name in study.models:
-        optics, needed = bench_of(study_text, name).optics, dict[int, float]()
-        history = aberrations_of(study_text, name, study.reduction.reference)[:, instants]
+        optics, needed = bench_of(text, name).optics, dict[int, float]()
+        history = aberrations_of(text, name, study.reduction.reference)[:, instants]
         still = np.concatenate([_waves(study, optics, one, placed=False) for one in history])
         placed = np.concatenate([_waves(study, optics, one, placed=True) for one in history])
         term = np.arange(placed.shape[1]) == 3
@@ -289,10 +276,18 @@ def notices(study_text: str) -> Iterator[str]:
             field = size * section.sampling
             needed[zernike_samples_for(waves, optics.obscuration, field)] = field
         most = max(needed)
-        if text := too_coarse(section.pupil_samples, most, needed[most]):
-            yield f"{name}: {text}; raise imaging.pupil_samples or lower imaging.scale"
+        if words := too_coarse(section.pupil_samples, most, needed[most]):
+            yield f"{name}: {words}; raise imaging.pupil_samples or lower imaging.scale"
 
 
-KIND = StudyKind(
-    "mirror-exposure", template, case_table, compute, check=check, notices=notices, model=MirrorExposureStudy
+KIND = study_kind(
+    "mirror-exposure",
+    MirrorExposureStudy,
+    cases=case_labels,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=import_record,
+    check=check,
+    notices=notices,
 )

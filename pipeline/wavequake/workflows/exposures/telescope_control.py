@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.chain.images.shortcuts import CANVAS, FOCUS
@@ -107,55 +106,53 @@ def control_bench_of(study_text: str) -> ControlBench:
             "M2 deforms to correct; leave its figures out."
         )
     control = imaged_bench_of(study_text)
-    with threadpool_limits(1):
-        return replace(control, correction=_correction(control))
+    return replace(control, correction=_correction(control))
 
 
 @prepared(maxsize=2)
 def imaged_bench_of(study_text: str) -> ControlBench:
     """Prepare the same without a correction by M2's deformations."""
-    with threadpool_limits(1):
-        study = study_from_identity(TelescopeExposureStudy, study_text)
-        bench = bench_of(segment_text(study_text))
-        system, old = bench.system, bench.prepared
-        if len(system.after_primary) < 2 or system.after_primary[0].action != "reflect":
-            raise UserError(f"the telescope {system.name} has no mirror M2 that could correct its image")
-        terms = max(study.figure_terms, bench.mirror_terms)
-        prepared = prepare(
-            system,
-            old.rays,
-            old.wavelength,
-            study.wavefront.zernike_terms,
-            figure_terms=bench.figure_terms,
-            mirror_terms=terms,
+    study = study_from_identity(TelescopeExposureStudy, study_text)
+    bench = bench_of(segment_text(study_text))
+    system, old = bench.system, bench.prepared
+    if len(system.after_primary) < 2 or system.after_primary[0].action != "reflect":
+        raise UserError(f"the telescope {system.name} has no mirror M2 that could correct its image")
+    terms = max(study.figure_terms, bench.mirror_terms)
+    prepared = prepare(
+        system,
+        old.rays,
+        old.wavelength,
+        study.wavefront.zernike_terms,
+        figure_terms=bench.figure_terms,
+        mirror_terms=terms,
+    )
+    # Edges that the beam clears are not looked at.
+    train = replace(prepared.train, semi_diameters=old.train.semi_diameters)
+    prepared = at_field(replace(prepared, train=train), bench.field)
+    bench = replace(bench, prepared=prepared, mirror_terms=terms)
+    rays = prepared.rays
+    basis = ray_basis(
+        rays.x,
+        rays.y,
+        prepared.weight,
+        CANVAS * study.imaging.pixels,
+        study.imaging.sampling,
+        2.0 * system.annulus.outer,
+    )
+    basis = replace(basis, peak=basis.peak * bench.stopped.light)
+    still = rest_states(bench.prepared.system, TILE)
+    traced, static = trace(bench.prepared, still, choose_device("numpy"))
+    none = np.zeros((0, 0))
+    control = ControlBench(study, bench, static, none, basis, none, none, _area(study, bench))
+    if lost := bench.stopped.otherwise:
+        raise UserError(
+            f"{lost} rays of {system.name} at rest are lost, so that its image would have holes; check "
+            "telescope and optics.field_arcmin"
         )
-        # Edges that the beam clears are not looked at.
-        train = replace(prepared.train, semi_diameters=old.train.semi_diameters)
-        prepared = at_field(replace(prepared, train=train), bench.field)
-        bench = replace(bench, prepared=prepared, mirror_terms=terms)
-        rays = prepared.rays
-        basis = ray_basis(
-            rays.x,
-            rays.y,
-            prepared.weight,
-            CANVAS * study.imaging.pixels,
-            study.imaging.sampling,
-            2.0 * system.annulus.outer,
-        )
-        basis = replace(basis, peak=basis.peak * bench.stopped.light)
-        still = rest_states(bench.prepared.system, TILE)
-        traced, static = trace(bench.prepared, still, choose_device("numpy"))
-        none = np.zeros((0, 0))
-        control = ControlBench(study, bench, static, none, basis, none, none, _area(study, bench))
-        if lost := bench.stopped.otherwise:
-            raise UserError(
-                f"{lost} rays of {system.name} at rest are lost, so that its image would have holes; check "
-                "telescope and optics.field_arcmin"
-            )
-        opd, focus = measured_opd(control, traced), control.prepared.fit.basis[:, 3]
-        image = local_images(control, opd, static)[0]
-        defocused = local_images(control, opd + np.resize(FOCUS, TILE)[:, None] * focus, static)[: len(FOCUS)]
-        return replace(control, static_image=image, static_focus=defocused)
+    opd, focus = measured_opd(control, traced), control.prepared.fit.basis[:, 3]
+    image = local_images(control, opd, static)[0]
+    defocused = local_images(control, opd + np.resize(FOCUS, TILE)[:, None] * focus, static)[: len(FOCUS)]
+    return replace(control, static_image=image, static_focus=defocused)
 
 
 def trace(prepared: PreparedTrace, states: States, device: Device) -> tuple[Traced, Wavefront]:

@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import ChunkResult, StudyKind, Template
-from wavequake.campaign.measures import Axis, Measure, stored, template_of
-from wavequake.campaign.one_by_one import one_by_one
-from wavequake.campaign.schema import study_from_identity
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
+from wavequake.campaign.measures import Axis, Measure, stored
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.coherent import LitObject, lit_object, mean_image
 from wavequake.chain.images.extended import check_object
 from wavequake.chain.images.shortcuts import (
@@ -33,6 +32,7 @@ from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.disturbances.motion import scaled
 from wavequake.optics.systems.system import States
 from wavequake.optics.wavefronts.record import Wavefront
+from wavequake.workflows.disturbed_study import case_labels
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,
@@ -54,7 +54,6 @@ from wavequake.workflows.segments import disturbance as segment_disturbance
 from wavequake.workflows.segments.bench import MAS_PER_RAD
 from wavequake.workflows.segments.disturbance import draw
 from wavequake.workflows.segments.launches import CaseDraw, surface_states
-from wavequake.workflows.segments.study import segment_text
 
 Array = NDArray[np.float64]
 
@@ -63,14 +62,15 @@ _BLOCK = 8 * TILE
 _NM_PER_MM = 1e6
 
 
-def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Expose the cases; one whose rays are lost is quarantined with the reason."""
-    device, control = choose_device(device_name), control_bench_of(study_text)
-    return one_by_one(
-        template(study_text).per_case,
-        cases,
-        lambda case: exposed_case(control, scaled_draw(control, case), device),
-    )
+def prepare(study: TelescopeExposureStudy) -> ControlBench:
+    """Return what all cases of a study share; raises as `control_bench_of`."""
+    return control_bench_of(study.identity_text())
+
+
+def compute(control: ControlBench, table: CaseTable, device_name: str, clock: Stopwatch) -> Iterator[Block]:
+    """Expose cases; one whose rays are lost is quarantined with the reason."""
+    device = choose_device(device_name)
+    return one_by_one(table["case"], lambda case: exposed_case(control, scaled_draw(control, case), device))
 
 
 def scaled_draw(control: ControlBench, case: int) -> CaseDraw:
@@ -192,19 +192,19 @@ def motion_of_m2(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
     return {"m2_tilt": tilt, "m2_figure": figure * _NM_PER_MM}
 
 
-def template(study_text: str) -> Template:
-    """Return what a store of this study holds."""
-    study = study_from_identity(TelescopeExposureStudy, study_text)
-    axes = {
+def axes(control: ControlBench) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
+    study = control.study
+    return {
         "controller": Axis(CONTROLLERS, "what is done about the disturbance"),
         "time": Axis(max(population.instants for population in study.disturbance)),
         "noll": Axis(np.arange(2, study.figure_terms + 1), "Noll index"),
         **exposure_axes(study.imaging.pixels, study.imaging.sampling),
     }
-    return template_of(_measures(study), axes)
 
 
-def _measures(study: TelescopeExposureStudy) -> Iterator[Measure]:
+def measures(control: ControlBench) -> Iterator[Measure]:
+    """Yield the measures of a case."""
     history, frame = ("controller", "time"), ("controller", "y", "x")
     words = "time of the instant; NaN beyond the population's instants"
     yield stored("time_s", "s", words, ("time",), coordinate=True)
@@ -222,35 +222,28 @@ def _measures(study: TelescopeExposureStudy) -> Iterator[Measure]:
     yield stored("resolution_mas", "mas", "lambda/D on the sky")
     words = "image at rest with defocus added; 1 = peak of the perfect one"
     yield stored("static_focus", "1", words, ("focus", "y", "x"))
-    yield from exposure_measures("controller", study.object)
+    yield from exposure_measures("controller", control.study.object)
     words = "the same of the wavefronts that the fitted Zernike terms describe, without what segments leave "
     yield stored("exposure_fitted", "1", words + "beside them", frame)
 
 
-def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
-    """Return the labels of cases first <= id < last: disturbance, realization and seed."""
-    return segment_disturbance.case_table(segment_text(study_text), first, last)
-
-
-def describe(study_text: str) -> dict[str, str]:
+def describe(control: ControlBench) -> dict[str, str]:
     """Return rays and disturbances, for the plan."""
-    return segment_disturbance.describe(segment_text(study_text))
+    return segment_disturbance.describe(control.bench)
 
 
-def check(study_text: str) -> None:
-    """Raise UserError if the telescope cannot be controlled, or disturbance or object do not fit."""
-    study = study_from_identity(TelescopeExposureStudy, study_text)
+def check(study: TelescopeExposureStudy) -> None:
+    """Raise UserError if the object does not fit."""
     if study.object:
         check_object(study.object, study.imaging.pixels, study.imaging.sampling)
-    control_bench_of(study_text)
 
 
-def notices(study_text: str) -> Iterator[str]:
+def notices(study: TelescopeExposureStudy) -> Iterator[str]:
     """Yield what to say of too few rays: for the images' field, their focus, or the disturbed phase.
 
     Each disturbance is judged by the first instants of its first case.
     """
-    control = control_bench_of(study_text)
+    control = prepare(study)
     imaging, prepared, device = control.study.imaging, control.prepared, choose_device("numpy")
     still = replace(scaled_draw(control, 0), time=np.zeros(1))
     _, traced, wavefront = next(case_blocks(control, still, device, STATIC))
@@ -279,13 +272,15 @@ def _whole_phase(control: ControlBench, traced: Traced, wavefront: Wavefront) ->
     return ray_phase(control, opd, wavefront, wavefront.los)
 
 
-KIND = StudyKind(
+KIND = study_kind(
     "telescope-exposure",
-    template,
-    case_table,
-    compute,
-    describe,
+    TelescopeExposureStudy,
+    prepare=prepare,
+    cases=case_labels,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    describe=describe,
     check=check,
     notices=notices,
-    model=TelescopeExposureStudy,
 )

@@ -5,18 +5,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.schema import study_from_identity
 from wavequake.control.bench import Bench, fitted_bench
 from wavequake.control.stage import Stage
 from wavequake.workflows.lens.study import LensStudy
 
 Array = NDArray[np.float64]
-
-
-def study_of(text: str) -> LensStudy:
-    """Rebuild a study from its identity."""
-    study: LensStudy = study_from_identity(LensStudy, text)
-    return study
 
 
 def bench_of(study: LensStudy, springs: str) -> Bench:

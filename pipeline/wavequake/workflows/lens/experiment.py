@@ -8,11 +8,11 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template
-from wavequake.campaign.measures import Axis, Measure, stored, template_of
-from wavequake.campaign.one_by_one import unknown_arrays
+from wavequake.campaign.contract import Fixed
+from wavequake.campaign.measured import Block, CaseTable, study_kind
+from wavequake.campaign.measures import Axis, Measure, stored
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.bench import bench_modes
 from wavequake.control.camera import Camera, CameraError
 from wavequake.control.experiment import (
@@ -43,8 +43,9 @@ from wavequake.firmware.gains import gains_of
 from wavequake.firmware.kept import host_image
 from wavequake.firmware.units import FirmwareUnit
 from wavequake.mechanics.disturbances.motion import generator
-from wavequake.prepared import prepared
-from wavequake.workflows.lens.bench import bench_of, stage_of, study_of
+from wavequake.prepared import one_thread, prepared
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.lens.bench import bench_of, stage_of
 from wavequake.workflows.lens.loops import asked_of, beside, closed_loops
 from wavequake.workflows.lens.study import LensStudy
 
@@ -124,22 +125,22 @@ def case_of(study: LensStudy, case: int) -> tuple[str, int]:
     return springs[case % len(springs)], case // len(springs)
 
 
+@one_thread()
 def run_cases(study_text: str, springs: str, realizations: list[int]) -> Runs:
     """Run at most `TILE` plants of one configuration."""
     study = study_of(study_text)
-    with threadpool_limits(1):
-        return run_plants(
-            designs_of(study_text, springs),
-            [plant_of(study, springs, one) for one in realizations],
-            chain_of(study),
-            _camera_of(study_text),
-            friction=errors_of(study).friction,
-            duration=study.time.duration_s,
-            output_step=study.time.step_ms / 1e3,
-            units=_units_of(study),
-            unit_design=study.firmware.design,
-            beside=beside(study_text, springs, realizations),
-        )
+    return run_plants(
+        designs_of(study_text, springs),
+        [plant_of(study, springs, one) for one in realizations],
+        chain_of(study),
+        _camera_of(study_text),
+        friction=errors_of(study).friction,
+        duration=study.time.duration_s,
+        output_step=study.time.step_ms / 1e3,
+        units=_units_of(study),
+        unit_design=study.firmware.design,
+        beside=beside(study_text, springs, realizations),
+    )
 
 
 def _units_of(study: LensStudy) -> tuple[FirmwareUnit, ...]:
@@ -147,22 +148,23 @@ def _units_of(study: LensStudy) -> tuple[FirmwareUnit, ...]:
     return tuple(FirmwareUnit(chain_of(study), one, keep) for one in study.firmware.arithmetic)
 
 
+@one_thread()
 def tuned_plant(study: LensStudy, springs: str, realization: int) -> tuple[Plant, ModalRegulator]:
     """Draw a plant, identify it from an uncontrolled run, and design its regulator, as its case does."""
     text = study.identity_text()
     plant, designs = plant_of(study, springs, realization), designs_of(text, springs)
-    with threadpool_limits(1):
-        found = identify_plant(
-            designs,
-            plant,
-            chain_of(study),
-            _camera_of(text),
-            friction=errors_of(study).friction,
-            duration=study.time.duration_s,
-        )
-        return plant, tuned_regulator(designs, found)
+    found = identify_plant(
+        designs,
+        plant,
+        chain_of(study),
+        _camera_of(text),
+        friction=errors_of(study).friction,
+        duration=study.time.duration_s,
+    )
+    return plant, tuned_regulator(designs, found)
 
 
+@one_thread()
 def regulator_of_record(study: LensStudy, springs: str, record: Record) -> ModalRegulator:
     """Identify the bench from a recording of an uncontrolled run, and design its regulator.
 
@@ -172,47 +174,29 @@ def regulator_of_record(study: LensStudy, springs: str, record: Record) -> Modal
         If the recording does not identify the modes of the nominal bench.
     """
     designs = designs_of(study.identity_text(), springs)
-    with threadpool_limits(1):
-        return tuned_regulator(designs, identify(record, designs.model))
+    return tuned_regulator(designs, identify(record, designs.model))
 
 
-def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Run the plants `cases` under all controllers, plants of one configuration beside each other."""
-    study = study_of(study_text)
-    arrays = unknown_arrays(template(study_text).per_case, len(cases))
-    status = np.full(len(cases), DONE, dtype=np.int8)
-    messages = [""] * len(cases)
+def compute(study: LensStudy, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
+    """Run plants under all controllers, those of one configuration beside each other."""
     for springs in study.bench.springs:
-        rows = [row for row, case in enumerate(cases) if case_of(study, int(case))[0] == springs]
-        for tile in (rows[first : first + TILE] for first in range(0, len(rows), TILE)):
-            _fill(study_text, springs, cases, tile, arrays, status, messages)
-    return ChunkResult(arrays, status, tuple(messages))
+        rows = np.flatnonzero(table["springs"] == springs)
+        for first in range(0, len(rows), TILE):
+            yield from _tile(study, springs, table, rows[first : first + TILE])
 
 
-def _fill(
-    study_text: str,
-    springs: str,
-    cases: NDArray[np.int64],
-    rows: list[int],
-    arrays: dict[str, NDArray[np.generic]],
-    status: NDArray[np.int8],
-    messages: list[str],
-) -> None:
+def _tile(study: LensStudy, springs: str, table: CaseTable, rows: NDArray[np.int64]) -> Iterator[Block]:
     """Run a tile; where a plant fails, run its plants one by one and quarantine that one."""
-    study = study_of(study_text)
-    realizations = [case_of(study, int(cases[row]))[1] for row in rows]
+    realizations = table["realization"][rows].tolist()
     try:
-        runs = run_cases(study_text, springs, realizations)
+        runs = run_cases(study.identity_text(), springs, realizations)
     except UserError as error:
         if len(rows) == 1:
-            status[rows[0]], messages[rows[0]] = RAISED, str(error)
-            return
-        for row in rows:
-            _fill(study_text, springs, cases, [row], arrays, status, messages)
+            yield Block(None, rows, {0: str(error)})
+        for row in rows if len(rows) > 1 else ():
+            yield from _tile(study, springs, table, np.array([row]))
         return
-    stored = _stored(study, springs, realizations, runs) | _firmware(study, runs)
-    for name, values in stored.items():
-        arrays[name][rows] = values
+    yield Block(_stored(study, springs, realizations, runs) | _firmware(study, runs), rows)
 
 
 def _stored(study: LensStudy, springs: str, realizations: list[int], runs: Runs) -> dict[str, Array]:
@@ -250,24 +234,30 @@ def _firmware(study: LensStudy, runs: Runs) -> dict[str, NDArray[np.generic]]:
     }
 
 
-def template(study_text: str) -> Template:
-    """Return what a store of this study holds."""
-    study = study_of(study_text)
-    count = round(study.time.duration_s * 1e3 / study.time.step_ms) + 1
-    time = study.time.step_ms / 1e3 * np.arange(count)
-    axes = {
+def axes(study: LensStudy) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
+    found = {
         "controller": Axis(controllers_of(study), "controller"),
-        "time": Axis(time, "time after the hammer's first touch", "s"),
+        "time": Axis(_stored_times(study), "time after the hammer's first touch", "s"),
         "signal": Axis(["lens 4", "image"], "signal"),
         "mode": Axis(MODES),
     }
-    if boards := study.firmware.arithmetic:
-        axes["firmware"] = Axis(boards, "firmware")
-    force = (("time",), hammer_force(HAMMER, time), {"units": "N", "long_name": "hammer force"})
-    return template_of(_measures(bool(boards)), axes, {"hammer_force": force})
+    boards = study.firmware.arithmetic
+    return {**found, "firmware": Axis(boards, "firmware")} if boards else found
 
 
-def _measures(boards: bool) -> Iterator[Measure]:
+def fixed(study: LensStudy) -> dict[str, Fixed]:
+    """Return what a store of a study holds beside its measures."""
+    force = hammer_force(HAMMER, _stored_times(study))
+    return {"hammer_force": (("time",), force, {"units": "N", "long_name": "hammer force"})}
+
+
+def _stored_times(study: LensStudy) -> Array:
+    return np.asarray(study.time.step_ms / 1e3 * np.arange(study.fewest_instants))
+
+
+def measures(study: LensStudy) -> Iterator[Measure]:
+    """Yield the measures of a case."""
     for name, dims, words, attrs in (
         ("image", ("controller",), "image displacement (Störkle 2018, Eq. 5.5)", {}),
         ("command", ("controller",), "command to the stage, held", {"voltage": _VOLTAGE}),
@@ -284,7 +274,7 @@ def _measures(boards: bool) -> Iterator[Measure]:
     yield stored("true_frequency", "rad/s", "frequencies of the plant", ("mode",))
     yield stored("identified_frequency", "rad/s", "frequencies that were identified", ("mode",))
     yield stored("identified_rms", "um", "rms that the identification leaves", ("signal",))
-    if boards:
+    if study.firmware.arithmetic:
         words = "hash of the gains in the image, a number of 16 hexadecimal digits"
         yield stored("firmware_hash", "1", words, ("firmware",), dtype="uint64")
         for name, what in (("difference", "largest"), ("rms", "rms")):
@@ -292,20 +282,18 @@ def _measures(boards: bool) -> Iterator[Measure]:
             yield stored(f"firmware_{name}", "um", words, ("firmware",))
 
 
-def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
-    """Return springs, realization and seed of cases first <= id < last."""
-    study = study_of(study_text)
-    rows = [case_of(study, case) for case in range(first, last)]
+def cases(study: LensStudy, ids: NDArray[np.int64]) -> CaseTable:
+    """Return springs, realization and seed of cases."""
+    springs, realizations = zip(*(case_of(study, case) for case in ids.tolist()), strict=True)
     return {
-        "springs": np.array([springs for springs, _ in rows], dtype=object),
-        "realization": np.array([realization for _, realization in rows], dtype=np.int64),
-        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+        "springs": np.array(springs, dtype=object),
+        "realization": np.array(realizations),
+        "seed": np.full(len(ids), study.study.seed),
     }
 
 
-def describe(study_text: str) -> dict[str, str]:
+def describe(study: LensStudy) -> dict[str, str]:
     """Return modes and delays of the nominal models, for the plan."""
-    study = study_of(study_text)
     lines = {"stage": f"lags by {1e3 * low_frequency_delay(stage_of(study)):.1f} ms"}
     for springs in study.bench.springs:
         omega = bench_modes(bench_of(study, springs)).omega
@@ -313,12 +301,12 @@ def describe(study_text: str) -> dict[str, str]:
     return lines
 
 
-def check(study_text: str) -> None:
+def check(study: LensStudy) -> None:
     """Raise UserError if a nominal design is impossible, or there is no compiler for firmware.
 
     Modes may be hidden, ode3 or a loop unstable, gains out of an arithmetic's range.
     """
-    study = study_of(study_text)
+    study_text = study.identity_text()
     for springs in study.bench.springs:
         regulator = designs_of(study_text, springs).regulator
         closed_loops(study_text, springs)
@@ -327,15 +315,23 @@ def check(study_text: str) -> None:
                 pass
 
 
-def notices(study_text: str) -> Iterator[str]:
+def notices(study: LensStudy) -> Iterator[str]:
     """Yield what controllers of the registry leave out in their designs."""
-    study = study_of(study_text)
     for springs in study.bench.springs:
         for one in study.loop:
             if study.sensors(one):
                 yield from one.notices(asked_of(study, springs, one))
 
 
-KIND = StudyKind(
-    "lens-experiment", template, case_table, compute, describe, check=check, notices=notices, model=LensStudy
+KIND = study_kind(
+    "lens-experiment",
+    LensStudy,
+    cases=cases,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=fixed,
+    describe=describe,
+    check=check,
+    notices=notices,
 )

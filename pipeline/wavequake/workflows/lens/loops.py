@@ -30,7 +30,8 @@ from wavequake.control.stage import Stage
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.prepared import prepared
-from wavequake.workflows.lens.bench import bench_of, stage_of, study_of
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.lens.bench import bench_of, stage_of
 from wavequake.workflows.lens.study import STAGE, LensStudy
 from wavequake.workflows.loops.curves import Looked, noise_of
 from wavequake.workflows.loops.loop_margins import Makers, sampled_loop

@@ -9,11 +9,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, ChunkResult, StudyKind, Template
-from wavequake.campaign.measures import Axis, Measure, stored, template_of
-from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, study_from_identity
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
+from wavequake.campaign.measures import Axis, Measure, stored
+from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.bench import LENSES, Bench, bench_modes, fitted_bench
 from wavequake.control.passive import modal_amplitudes, optimize
 from wavequake.control.plant import swing
@@ -68,12 +68,6 @@ class PassiveStudy(Study):
     store: PassiveStoreSection = PassiveStoreSection()
 
 
-def study_of(text: str) -> PassiveStudy:
-    """Rebuild a study from its identity."""
-    study: PassiveStudy = study_from_identity(PassiveStudy, text)
-    return study
-
-
 def start_of(study: PassiveStudy, case: int) -> Array:
     """Return where a case starts, as shares of the range; case 0 starts at the present values."""
     section = study.passive
@@ -85,25 +79,22 @@ def start_of(study: PassiveStudy, case: int) -> Array:
     return generator(study.study.seed, "lens-passive", case).uniform(-1, 1, sum(sizes)) * (case > 0)
 
 
-def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Search from the starts `cases`, and swing the benches that are found."""
-    study, present = study_of(study_text), fitted_bench(active=False)
-    section = study.passive
-    with threadpool_limits(1):
-        benches = [
-            optimize(
-                present,
-                springs=section.springs,
-                inertias=section.inertias,
-                factor=section.factor,
-                start=start_of(study, int(case)),
-                iterations=section.iterations,
-            ).bench
-            for case in cases
-        ]
-        rows = [_row(bench, present) for bench in benches]
-    arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-    return ChunkResult(arrays, np.full(len(cases), DONE, dtype=np.int8), ("",) * len(cases))
+def compute(study: PassiveStudy, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
+    """Search from the starts of cases, and swing the benches that are found."""
+    section, present = study.passive, fitted_bench(active=False)
+
+    def of_case(case: int) -> dict[str, Array]:
+        found = optimize(
+            present,
+            springs=section.springs,
+            inertias=section.inertias,
+            factor=section.factor,
+            start=start_of(study, case),
+            iterations=section.iterations,
+        )
+        return _row(found.bench, present)
+
+    return one_by_one(table["case"], of_case)
 
 
 def _row(bench: Bench, present: Bench) -> dict[str, Array]:
@@ -119,15 +110,13 @@ def _row(bench: Bench, present: Bench) -> dict[str, Array]:
     }
 
 
-def template(study_text: str) -> Template:
-    """Return what a store of this study holds."""
-    return template_of(
-        _measures(),
-        {"lens": Axis(np.arange(1, LENSES + 1), "lens"), "gap": Axis(LENSES - 1), "mode": Axis(MODES)},
-    )
+def axes(study: PassiveStudy) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
+    return {"lens": Axis(np.arange(1, LENSES + 1), "lens"), "gap": Axis(LENSES - 1), "mode": Axis(MODES)}
 
 
-def _measures() -> Iterator[Measure]:
+def measures(study: PassiveStudy) -> Iterator[Measure]:
+    """Yield the measures of a bench that was found."""
     lens = ("lens",)
     yield stored("amplitude_sum", "mm", "sum of the modes' amplitudes in the image: what is minimized")
     yield stored("peak_to_peak_mm", "mm", "range of the image displacement after a blow")
@@ -141,13 +130,9 @@ def _measures() -> Iterator[Measure]:
     yield stored("ring_kg", "kg", "the same of each ring", lens)
 
 
-def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
-    """Return the numbers of the starts first <= id < last, and the seed."""
-    seed = study_of(study_text).study.seed
-    return {
-        "realization": np.arange(first, last, dtype=np.int64),
-        "seed": np.full(last - first, seed, dtype=np.int64),
-    }
+def cases(study: PassiveStudy, ids: NDArray[np.int64]) -> CaseTable:
+    """Return the numbers of the starts, and the seed."""
+    return {"realization": ids, "seed": np.full(len(ids), study.study.seed)}
 
 
-KIND = StudyKind("lens-passive", template, case_table, compute, model=PassiveStudy)
+KIND = study_kind("lens-passive", PassiveStudy, cases=cases, compute=compute, measures=measures, axes=axes)

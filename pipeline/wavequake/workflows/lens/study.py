@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import CampaignSection, Section, Study, require_own_names
+from wavequake.campaign.schema import CampaignSection, Section, Study, each_once, require_own_names
 from wavequake.chain.loops.block import CONTROLLERS, SENSORS, AnyBlock, Controller, Sensor
 from wavequake.chain.loops.closing import check_part, check_rates, check_sensors
 from wavequake.chain.loops.controllers.off import Off
@@ -44,12 +44,7 @@ class BenchSection(Section):
     alpha: float = Field(default=0.03, ge=0, description="1/s, Rayleigh damping times the mass")
     beta: float = Field(default=3e-4, ge=0, description="s, Rayleigh damping times the stiffness")
 
-    @field_validator("springs")
-    @classmethod
-    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(value)) < len(value):
-            raise ValueError("a configuration is listed twice")
-        return value
+    _each_once = field_validator("springs")(each_once)
 
 
 class LensStageSection(Section):
@@ -143,12 +138,7 @@ class FirmwareSection(Section):
         default="nominal", description="the modal regulator that it runs; identified is built plant by plant"
     )
 
-    @field_validator("arithmetic")
-    @classmethod
-    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(value)) < len(value):
-            raise ValueError("an arithmetic is listed twice")
-        return value
+    _each_once = field_validator("arithmetic")(each_once)
 
 
 class LensTimeSection(Section):

@@ -69,15 +69,14 @@ def cases(study: ControllerStudy, ids: Integers) -> CaseTable:
 
 def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
     """Judge variants one by one; one that does not suit the model, or gives no controller, says why."""
-    with threadpool_limits(1):
-        for row, (name, effort) in enumerate(zip(table["variant"], table["effort"], strict=True)):
-            rows = np.array([row])
-            try:
-                found = judged(bench, str(name), float(effort), clock)
-            except UserError as error:
-                yield Block({}, rows, {0: f"{name}, effort {effort:g}: {error}"})
-                continue
-            yield Block({key: np.array([value]) for key, value in found.items()}, rows)
+    for row, (name, effort) in enumerate(zip(table["variant"], table["effort"], strict=True)):
+        rows = np.array([row])
+        try:
+            found = judged(bench, str(name), float(effort), clock)
+        except UserError as error:
+            yield Block({}, rows, {0: f"{name}, effort {effort:g}: {error}"})
+            continue
+        yield Block({key: np.array([value]) for key, value in found.items()}, rows)
 
 
 def judged(bench: Bench, name: str, effort: float, clock: Stopwatch) -> Numbers:

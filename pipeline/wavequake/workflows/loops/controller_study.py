@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study
+from wavequake.campaign.schema import Section, StoreSection, Study, each_once
 from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
-from wavequake.workflows.mirrors.study import VariantsSection
+from wavequake.workflows.mirrors.study import VariantsCampaignSection, VariantsSection
 
 _LEAST = 1e-12  # of efforts
 
@@ -87,9 +87,7 @@ class RegulatorSection(Section):
                 f"an effort is {wrong[0]:g}; forces must cost something: give numbers from {_LEAST:g} to "
                 f"{1 / _LEAST:g}"
             )
-        if len(set(value)) < len(value):
-            raise ValueError("an effort is listed twice")
-        return value
+        return each_once(value)
 
 
 class JudgedVariantsSection(VariantsSection):
@@ -136,12 +134,6 @@ class ExposedSection(Section):
         return np.asarray(self.sampling * (np.arange(self.pixels) - self.pixels // 2), dtype=np.float64)
 
 
-class ControllerCampaignSection(CampaignSection):
-    """How much of the study to run, and on which device; not part of its identity."""
-
-    cases: int | None = Field(default=None, ge=1, description="default: all variants")  # type: ignore[assignment]
-
-
 class ControllerStoreSection(StoreSection):
     """Where the results go, and what of them is kept."""
 
@@ -157,7 +149,7 @@ class ControllerStudy(Study):
     reduction: JudgedVariantsSection
     criterion: ControllerCriterionSection = ControllerCriterionSection()
     image: ExposedSection = ExposedSection()
-    campaign: ControllerCampaignSection = ControllerCampaignSection()
+    campaign: VariantsCampaignSection = VariantsCampaignSection()
     store: ControllerStoreSection = ControllerStoreSection()
 
     @property

@@ -9,9 +9,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.measured import Block, CaseTable, study_kind
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.linear import Array
@@ -53,10 +52,7 @@ def cases(study: SegmentControlStudy, ids: Integers) -> CaseTable:
 
 def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
     """Judge cases one by one."""
-    with threadpool_limits(1):
-        for row, realization in enumerate(table["realization"]):
-            found = _case(bench, int(realization), clock)
-            yield Block({name: np.array([value]) for name, value in found.items()}, np.array([row]))
+    return one_by_one(table["realization"], lambda realization: _case(bench, realization, clock))
 
 
 def _case(bench: Bench, realization: int, clock: Stopwatch) -> dict[str, float]:

@@ -16,9 +16,9 @@ from wavequake.chain.loops.sensors.slopes import SlopeSensor
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
 from wavequake.mechanics.assembly.answers import moved as split_outputs
-from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, ElementMotion, add_elements
+from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
-from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
+from wavequake.mechanics.disturbances.motion import RAD_PER_MAS, Motion, add, still
 from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem
@@ -105,7 +105,7 @@ class SystemOptics:
         prepared, rest = self.bench.prepared[0][primary], self.bench.static[0][primary]
         return np.asarray(rest.zernike[0, 3:] * prepared.wavelength * NM_PER_MM)
 
-    def see(self, motion: ElementMotion) -> Array:
+    def see(self, motion: Motion) -> Array:
         """Return what sensors see of a motion, (n, K)."""
         optical = flat(self.bench.system, system_states(self.bench, motion)) @ self.gain
         if not self.light.bodies_too:
@@ -179,42 +179,35 @@ def _shown(optics: SystemOptics, outputs: Array) -> Array:
     return np.ascontiguousarray(optics.see(carried(optics.bench, (outputs * units).T)).T / units)
 
 
-def carried(bench: SystemBench, outputs: Array) -> ElementMotion:
+def carried(bench: SystemBench, outputs: Array) -> Motion:
     """Return the motion of elements that outputs (n, m) of the plant are."""
     rigid, figure = split_outputs(bench.plants[FULL], outputs)
-    return ElementMotion(rigid, figure, np.zeros((len(outputs), 2)))
+    return still(len(outputs), rigid=rigid, figure=figure)
 
 
 def _sight(optics: SystemOptics, one: Actuator) -> Array:
     """Return what is seen per position of an actuator."""
     light, unit = optics.light, np.eye(len(one.channels(optics.light)))
-    found = optics.see(still(len(unit), one.motion(one.step * unit))).T / one.step
+    found = optics.see(still(len(unit), rigid=one.motion(one.step * unit))).T / one.step
     if light.nodes:
         found[len(light) - len(light.nodes) :] = moved_nodes(one, optics.bench.bodies, light)
     return np.ascontiguousarray(found)
 
 
-def still(count: int, rigid: dict[str, Array]) -> ElementMotion:
-    """Return a motion of rigid elements, and of nothing else, at so many instants."""
-    return ElementMotion(rigid, {}, np.zeros((count, 2)))
-
-
-def moved(optics: SystemOptics, one: Designed, positions: Array) -> ElementMotion:
+def moved(optics: SystemOptics, one: Designed, positions: Array) -> Motion:
     """Return how the actuators of a controller move elements at positions (n, P) of all their channels."""
-    found, first = still(len(positions), {}), 0
+    found, first = still(len(positions)), 0
     for actuator in one.actuators:
         last = first + len(actuator.channels(optics.light))
-        found = add_elements(found, still(len(positions), actuator.motion(positions[:, first:last])))
+        found = add([found, still(len(positions), rigid=actuator.motion(positions[:, first:last]))])
         first = last
     if one.answers:
         assert optics.pushed is not None
-        found = add_elements(found, carried(optics.bench, positions[:, first:] @ optics.pushed.T))
+        found = add([found, carried(optics.bench, positions[:, first:] @ optics.pushed.T)])
     return found
 
 
-def drawn_at(
-    optics: SystemOptics, population: ElementDisturbance, realization: int, time: Array
-) -> ElementMotion:
+def drawn_at(optics: SystemOptics, population: ElementDisturbance, realization: int, time: Array) -> Motion:
     """Draw a realization at other instants than its own."""
     return drawn_with(optics.bench, population, realization, FULL, time)
 

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measured import Block, CaseTable, study_kind
@@ -24,7 +23,7 @@ from wavequake.control.sampled.run import run
 from wavequake.control.sampled.stability import SampledLoop
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.element_motion import ElementMotion, add_elements
+from wavequake.mechanics.disturbances.motion import Motion, add
 from wavequake.workflows.disturbed_study import case_labels
 from wavequake.workflows.loops.curves import curve_axes, curves, shown, spectrum
 from wavequake.workflows.loops.loop_margins import Makers, linear_loops
@@ -75,11 +74,10 @@ def bench_of(study: SystemLoopStudy) -> Bench:
 
 def compute(bench: Bench, table: CaseTable, device_name: str, clock: Stopwatch) -> Iterator[Block]:
     """Run cases one by one under all controllers; one that diverges or loses its light is quarantined."""
-    with threadpool_limits(1):
-        for row, case in enumerate(table["case"].tolist()):
-            result, message = _case(bench, case, device_name, clock)
-            numbers = {name: values[None] for name, values in result.items()}
-            yield Block(numbers, np.array([row]), {0: message} if message else {})
+    for row, case in enumerate(table["case"].tolist()):
+        result, message = _case(bench, case, device_name, clock)
+        numbers = {name: values[None] for name, values in result.items()}
+        yield Block(numbers, np.array([row]), {0: message} if message else {})
 
 
 def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[dict[str, Array], str]:
@@ -102,7 +100,7 @@ def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[
             positions, limited, diverged = _positions(bench, one, index, disturbance, realization)
         if diverged:
             return {}, f"it diverges under the controller {one.name!r}"
-        left = add_elements(shaken, moved(optics, one, positions[times.instants]))
+        left = add([shaken, moved(optics, one, positions[times.instants])])
         motions.append((times.seen[times.looks[times.instants]], left))
         away.append(_away(bench, one, index, left, way, positions))
         linear = at_instants + positions[times.instants] @ one.sight.T
@@ -123,7 +121,7 @@ def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[
     return {name: np.stack([one[name] for one in numbers]) for name in numbers[0]} | of_case, ""
 
 
-def motion_left(bench: Bench, one: Designed, case: int) -> ElementMotion:
+def motion_left(bench: Bench, one: Designed, case: int) -> Motion:
     """Return how the elements of a case move under a controller, at its instants.
 
     Raises
@@ -140,7 +138,7 @@ def motion_left(bench: Bench, one: Designed, case: int) -> ElementMotion:
     if diverged:
         raise UserError(f"Case {case} diverges under the controller {one.name!r}.")
     shaken = drawn_with(optics.bench, population, realization, FULL)
-    return add_elements(shaken, moved(optics, one, positions[times.instants]))
+    return add([shaken, moved(optics, one, positions[times.instants])])
 
 
 def _positions(
@@ -161,7 +159,7 @@ def _positions(
 
 
 def _away(
-    bench: Bench, one: Designed, index: int, left: ElementMotion, way: ElementMotion | None, positions: Array
+    bench: Bench, one: Designed, index: int, left: Motion, way: Motion | None, positions: Array
 ) -> Array | None:
     """Return where the line of sight is between exposed instants, if it is followed."""
     optics, times = bench.optics, bench.optics.times[index]
@@ -169,7 +167,7 @@ def _away(
     if times.between is None or way is None:
         return places_of_rows(optics.bench, optics.bench.study.disturbance[index], left)
     held = moved(optics, one, positions[times.between.ravel()])
-    return places_between(optics.bench, times.between.shape, add_elements(way, held))
+    return places_between(optics.bench, times.between.shape, add([way, held]))
 
 
 def _linear(optics: SystemOptics, traced: Mapping[str, Array], linear: Array) -> dict[str, Array]:

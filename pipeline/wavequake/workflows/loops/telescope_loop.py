@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure, stored
@@ -73,13 +72,12 @@ def cases(study: TelescopeLoopStudy, ids: Integers) -> CaseTable:
 def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
     """Run cases in batches of a population, under one controller after the other."""
     names = [entry.name for entry in bench.study.disturbance]
-    with threadpool_limits(1):
-        for index, name in enumerate(names):
-            mine = np.flatnonzero(table["disturbance"] == name)
-            tiles = table["realization"][mine] // ROWS
-            for tile in np.unique(tiles):
-                rows = mine[tiles == tile]
-                yield _batch(bench, index, rows, table["realization"][rows], choose_device(device), clock)
+    for index, name in enumerate(names):
+        mine = np.flatnonzero(table["disturbance"] == name)
+        tiles = table["realization"][mine] // ROWS
+        for tile in np.unique(tiles):
+            rows = mine[tiles == tile]
+            yield _batch(bench, index, rows, table["realization"][rows], choose_device(device), clock)
 
 
 def _batch(

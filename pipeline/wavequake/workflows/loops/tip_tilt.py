@@ -10,9 +10,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.measured import Block, CaseTable, study_kind
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
 from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.frames.controllers import (
@@ -272,21 +271,23 @@ def cases(study: TipTiltStudy, ids: Integers) -> CaseTable:
 
 def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
     """Run cases one by one."""
-    with threadpool_limits(1):
-        for row, (case, realization) in enumerate(zip(table["case"], table["realization"], strict=True)):
-            loop = bench.loops[int(case) % len(bench.loops)]
-            found = {
-                "open_mas": bench.open_mas,
-                "exact_mas": loop.exact,
-                "integral_mas": loop.integral,
-                "gain": loop.gain,
-                "sensitivity_peak": loop.peak,
-                "gain_up": loop.gain_up,
-                "phase_margin": loop.phase_deg,
-                **loop.curves,
-                "simulated_mas": _simulated(bench, loop, int(realization), clock),
-            }
-            yield Block({name: np.array([value]) for name, value in found.items()}, np.array([row]))
+
+    def of_case(case: int) -> dict[str, Array | float]:
+        realization, place = divmod(case, len(bench.loops))
+        loop = bench.loops[place]
+        return {
+            "open_mas": bench.open_mas,
+            "exact_mas": loop.exact,
+            "integral_mas": loop.integral,
+            "gain": loop.gain,
+            "sensitivity_peak": loop.peak,
+            "gain_up": loop.gain_up,
+            "phase_margin": loop.phase_deg,
+            **loop.curves,
+            "simulated_mas": _simulated(bench, loop, realization, clock),
+        }
+
+    return one_by_one(table["case"], of_case)
 
 
 def _simulated(bench: Bench, loop: Loop, realization: int, clock: Stopwatch) -> float:

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import CampaignSection, Section, Study
+from wavequake.campaign.schema import CampaignSection, Section, Study, each_once
 
 
 class ShakenSection(Section):
@@ -56,16 +56,9 @@ class LoopSection(Section):
     def _rates_are_positive(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if wrong := [rate for rate in value if not 0.0 < rate <= _FASTEST_HZ]:
             raise ValueError(f"a rate is {wrong[0]:g} Hz; it must be positive and at most {_FASTEST_HZ:g} Hz")
-        if len(set(value)) < len(value):
-            raise ValueError("a rate is listed twice")
         return value
 
-    @field_validator("controllers")
-    @classmethod
-    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(value)) < len(value):
-            raise ValueError("a controller is listed twice")
-        return value
+    _each_once = field_validator("rates_hz", "controllers")(each_once)
 
 
 class SimulatedSection(Section):

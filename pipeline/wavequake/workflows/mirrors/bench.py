@@ -1,15 +1,15 @@
 """What a mirror study prepares once per process: models, optical maps, reference responses, pupil."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.schema import study_from_identity
+from wavequake.campaign.contract import Fixed
+from wavequake.campaign.measured import CaseTable
 from wavequake.errors import UserError
 from wavequake.imaging.engines.zernike_psf import ZernikeImager, zernike_imager
 from wavequake.imaging.pupils.pupil_function import annular_pupil
@@ -23,25 +23,24 @@ from wavequake.mechanics.vibration.modal import ModalModel, modal_model
 from wavequake.mechanics.vibration.response import displacements, respond
 from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
-from wavequake.reduction.metrics import Residues, eps_mor, full_receptance, receptance, residues
+from wavequake.reduction.metrics import Residues, receptance, residues
 from wavequake.reduction.names import Variant, parse
 from wavequake.reduction.own import own_model
-from wavequake.reduction.two_stage import check_variants, covers, reduce_variants, reference
-from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
+from wavequake.reduction.two_stage import check_variants, covers
+from wavequake.workflows import kinds
 from wavequake.workflows.mirrors.base import CLAMPED, driven, on_moving_base
-from wavequake.workflows.mirrors.compared_models import variant_labels
+from wavequake.workflows.mirrors.compared_models import checked_model, reduced_model, variant_labels
 from wavequake.workflows.mirrors.imported_facts import facts, frequencies
 from wavequake.workflows.mirrors.model_store import (
     DAMPING,
     digest,
-    kept_arrays,
     kept_intermediate,
     kept_model,
     kept_notes,
 )
 from wavequake.workflows.mirrors.optics import Optics, optical_rows, optics_of
 from wavequake.workflows.mirrors.own_models import method_of, own_arrays
-from wavequake.workflows.mirrors.study import FULL, AnyMirrorStudy, MirrorStudy, TraceStudy
+from wavequake.workflows.mirrors.study import FULL, AnyMirrorStudy, MirrorStudy
 
 Array = NDArray[np.float64]
 
@@ -93,26 +92,9 @@ class Answers:
 
 
 @prepared(maxsize=2)
-def study_of(text: str) -> MirrorStudy:
-    """Rebuild a study of mirror-mor or mirror-exposure from its identity."""
-    exposed = json.loads(text)["study"]["workflow"] == "mirror-exposure"
-    study: MirrorStudy = study_from_identity(MirrorExposureStudy if exposed else MirrorStudy, text)
-    return study
-
-
-@prepared(maxsize=2)
-def trace_study_of(text: str) -> TraceStudy:
-    """Rebuild a study of mirror-trace from its identity."""
-    study: TraceStudy = study_from_identity(TraceStudy, text)
-    return study
-
-
-@prepared(maxsize=2)
-def any_study_of(text: str) -> AnyMirrorStudy:
-    """Rebuild a study of any mirror workflow from its identity."""
-    if json.loads(text)["study"]["workflow"] == "mirror-trace":
-        return trace_study_of(text)
-    return study_of(text)
+def study_of(text: str) -> Any:
+    """Return the study of any mirror workflow of an identity text."""
+    return kinds.study_of(text)
 
 
 def cases_of(study: AnyMirrorStudy) -> list[tuple[str, str]]:
@@ -120,43 +102,40 @@ def cases_of(study: AnyMirrorStudy) -> list[tuple[str, str]]:
     return [(model, variant) for model in study.models for variant in study.compared]
 
 
-def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
-    """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
-    study = any_study_of(study_text)
-    rows = cases_of(study)[first:last]
+def case_labels(study: AnyMirrorStudy, ids: NDArray[np.int64]) -> CaseTable:
+    """Return the labels of cases: model, variant, its method and the seed."""
+    rows = [cases_of(study)[one] for one in ids]
     return variant_labels(rows, [method_of(study, one) for _, one in rows], study.study.seed)
 
 
 @prepared(maxsize=4)
 def bench_of(text: str, name: str) -> Bench:
     """Prepare one model of a study; one BLAS thread, so that its bits are the same in every process."""
-    with threadpool_limits(1):
-        study = any_study_of(text)
-        stage, full = stage_of(text, name)
-        return Bench(name, stage, full, optics_of(study, name, stage), study.reduction.own_files)
+    study = study_of(text)
+    stage, full = stage_of(text, name)
+    return Bench(name, stage, full, optics_of(study, name, stage), study.reduction.own_files)
 
 
 @prepared(maxsize=4)
 def stage_of(text: str, name: str) -> tuple[Intermediate, Callable[[], FiniteElementModel]]:
     """Return the intermediate model, and what builds the full one; one BLAS thread, as `bench_of`."""
-    with threadpool_limits(1):
-        study = any_study_of(text)
-        full = prepared(maxsize=1)(partial(build_model, study, name))
-        return _stage(study, name, full), full
+    study = study_of(text)
+    full = prepared(maxsize=1)(partial(build_model, study, name))
+    return _stage(study, name, full), full
 
 
-def import_notices(text: str) -> Iterator[str]:
+def import_notices(study: AnyMirrorStudy) -> Iterator[str]:
     """Yield what the user should check of an imported model, the cheap facts first."""
-    section = any_study_of(text).model
+    section = study.model
     if section.content is not None:
         model, notes = kept_model(section.content), kept_notes(section.content)
         yield from facts(model, section.units or "", notes)
-        yield f"imported model: {frequencies(stage_of(text, 'file')[0])}"
+        yield f"imported model: {frequencies(stage_of(study.identity_text(), 'file')[0])}"
 
 
-def import_record(text: str) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+def import_record(study: AnyMirrorStudy) -> dict[str, Fixed]:
     """Return the same as a coordinate of a store; nothing for a built-in model."""
-    found = np.array(list(import_notices(text)), dtype=object)
+    found = np.array(list(import_notices(study)), dtype=object)
     words = {"long_name": "what to check of the imported model"}
     return {"import_notice": (("import_notice",), found, words)} if len(found) else {}
 
@@ -164,17 +143,16 @@ def import_record(text: str) -> dict[str, tuple[tuple[str, ...], NDArray[np.gene
 @prepared(maxsize=4)
 def answers_of(text: str, name: str) -> Answers:
     """Return what the reference of a model answers; one BLAS thread, as `bench_of`."""
-    with threadpool_limits(1):
-        study, bench = study_of(text), bench_of(text, name)
-        chosen = variant_of(bench, study.reduction.reference)
-        rows = optical_rows(bench.optics, chosen)
-        frequencies = study.reduction.hertz
-        return Answers(
-            reference=chosen,
-            mechanical=receptance(chosen, frequencies),
-            optical=residues(chosen, frequencies, rows[3:]),
-            aberrations=aberrations_over_time(study, chosen, rows),
-        )
+    study, bench = study_of(text), bench_of(text, name)
+    chosen = variant_of(bench, study.reduction.reference)
+    rows = optical_rows(bench.optics, chosen)
+    frequencies = study.reduction.hertz
+    return Answers(
+        reference=chosen,
+        mechanical=receptance(chosen, frequencies),
+        optical=residues(chosen, frequencies, rows[3:]),
+        aberrations=aberrations_over_time(study, chosen, rows),
+    )
 
 
 def variant_of(bench: Bench, variant: str) -> ReducedModel:
@@ -185,16 +163,12 @@ def variant_of(bench: Bench, variant: str) -> ReducedModel:
     UserError
         If the variant does not suit the model.
     """
-    if variant == FULL:
-        return reference(bench.stage)
     if variant in bench.own:
         given = own_arrays(bench.own[variant], variant)
         return own_model(bench.full() if "basis" in given else bench.stage, given, variant)
-    chosen = parse(variant)
-    full = None if covers(bench.stage, chosen) else bench.full()
-    if chosen.method == CLAMPED:
-        return on_moving_base(full or bench.stage, chosen)
-    return reduce_variants(bench.stage, [variant], full)[0]
+    if variant != FULL and (chosen := parse(variant)).method == CLAMPED:
+        return on_moving_base(bench.stage if covers(bench.stage, chosen) else bench.full(), chosen)
+    return reduced_model(bench.stage, bench.full, variant)
 
 
 def drive_at(excitation: AnyExcitation, model: ReducedModel | Intermediate, study: AnyMirrorStudy) -> Drive:
@@ -274,29 +248,10 @@ def _stage_record(study: AnyMirrorStudy, name: str, leave: frozenset[str] = froz
 
 
 def spot_check(study: MirrorStudy, name: str) -> tuple[Array, Array]:
-    """Compare the intermediate model with the full one where its basis was not built; kept on disk.
-
-    Returns
-    -------
-    frequencies, errors : ndarray, shape (checks,)
-        Hz, and the relative error of the transfer matrix (Störkle 2018, Eq. 2.10).
-    """
-    count, section = study.reduction.spot_checks, study.reduction
-    # Irrational parts of the band: no expansion point of the basis lies there.
-    parts = np.modf((np.arange(count) + 1) * (np.sqrt(5.0) - 1) / 2)[0]
-    lowest = min(max(section.first_hz, _LOWEST_CHECK_HZ), section.last_hz)
-    frequencies = np.sort(lowest + parts * (section.last_hz - lowest))
-    if not count:
-        return frequencies, frequencies.copy()
-
-    def checked() -> dict[str, Array]:
-        with threadpool_limits(1):
-            bench = bench_of(study.identity_text(), name)
-            truth = full_receptance(bench.full(), frequencies)
-            return {"errors": eps_mor(truth, receptance(reference(bench.stage), frequencies))}
-
-    record = {"check": frequencies.tolist(), **_stage_record(study, name)}
-    return frequencies, kept_arrays(digest(record), checked)["errors"]
+    """Compare the intermediate model with the full one; see `checked_model`."""
+    lowest = min(max(study.reduction.first_hz, _LOWEST_CHECK_HZ), study.reduction.last_hz)
+    record = _stage_record(study, name)
+    return checked_model(study.reduction, lowest, lambda: bench_of(study.identity_text(), name), record)
 
 
 def aberrations_over_time(study: MirrorStudy, model: ReducedModel, rows: Array) -> Array:

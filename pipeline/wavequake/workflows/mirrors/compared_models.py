@@ -1,6 +1,6 @@
 """Reduced models that stand beside the full one as cases, and how far they are from it."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,8 +9,15 @@ from pydantic import Field, field_validator
 
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measures import Measure, stored
-from wavequake.campaign.schema import Section
-from wavequake.workflows.mirrors.study import FULL, canonical
+from wavequake.campaign.schema import Section, each_once
+from wavequake.mechanics.model import FiniteElementModel, ReducedModel
+from wavequake.prepared import one_thread
+from wavequake.reduction.intermediate import Intermediate
+from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
+from wavequake.reduction.names import parse
+from wavequake.reduction.two_stage import covers, reduce_variants, reference
+from wavequake.workflows.mirrors.model_store import digest, kept_arrays
+from wavequake.workflows.mirrors.study import FULL, VariantsSection, canonical
 
 Array = NDArray[np.float64]
 
@@ -41,12 +48,9 @@ class ComparedSection(Section):
     @classmethod
     def _variants_are_canonical(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         names = tuple(canonical(name) for name in value)
-        twice = next((name for name in names if names.count(name) > 1 or name == FULL), None)
-        if twice == FULL:
+        if FULL in names:
             raise ValueError("the full model is compared anyway; leave 'full' out")
-        if twice:
-            raise ValueError(f"the variant {twice!r} is listed twice")
-        return names
+        return each_once(names)
 
 
 def variant_labels(
@@ -131,6 +135,60 @@ def image_error(images: Array, reference: Array) -> Array:
 def wavefront_rms(aberrations: Array) -> Array:
     """Return the rms of the Noll terms j >= 4 of (..., 2 + J): the root of the sum of their squares."""
     return np.asarray(np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1)))
+
+
+def reduced_model(stage: Intermediate, full: Callable[[], FiniteElementModel], name: str) -> ReducedModel:
+    """Return a model by its name: reduced, or "full", the intermediate one.
+
+    `full` builds the finite-element model, for variants that the intermediate one does not cover.
+    """
+    if name == FULL:
+        return reference(stage)
+    whole = None if covers(stage, parse(name)) else full()
+    return reduce_variants(stage, [name], whole)[0]
+
+
+def checked_model(
+    section: VariantsSection, lowest: float, body: Callable[[], Any], record: Mapping[str, Any]
+) -> tuple[Array, Array]:
+    """Compare an intermediate model with the full one where its basis was not built; kept on disk.
+
+    Parameters
+    ----------
+    section : VariantsSection
+        Says how often, and up to which frequency.
+    lowest : float
+        Of the frequencies, Hz.
+    body : callable
+        Returns what has the intermediate model as ``stage``, and builds the other one by ``full``.
+    record : mapping
+        What determines the intermediate model.
+
+    Returns
+    -------
+    frequencies, errors : ndarray, shape (checks,)
+        Hz, and the relative error of the transfer matrix (Störkle 2018, Eq. 2.10).
+    """
+    # Irrational parts of the band: no expansion point of the basis lies there.
+    parts = np.modf((np.arange(section.spot_checks) + 1) * (np.sqrt(5.0) - 1) / 2)[0]
+    frequencies = np.sort(lowest + parts * (section.last_hz - lowest))
+    if not len(frequencies):
+        return frequencies, frequencies.copy()
+
+    @one_thread()
+    def checked() -> dict[str, Array]:
+        one = body()
+        truth = full_receptance(one.full(), frequencies)
+        return {"errors": eps_mor(truth, receptance(reference(one.stage), frequencies))}
+
+    return frequencies, kept_arrays(digest({"check": frequencies.tolist(), **record}), checked)["errors"]
+
+
+def stage_words(stage: Intermediate, frequencies: Array, errors: Array) -> str:
+    """Say how large a model is, and how well its intermediate one stands for it."""
+    at = ", ".join(f"{one:.0f}" for one in frequencies)
+    worst = f", at most {errors.max():.1e} off the full model at {at} Hz" if len(errors) else ""
+    return f"{stage.full_order} degrees of freedom, intermediate {stage.order}{worst}"
 
 
 def checked_models(names: Sequence[str], checks: Sequence[tuple[Array, Array]]) -> dict[str, Fixed]:

@@ -9,9 +9,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import ChunkResult, StudyKind, Template
-from wavequake.campaign.measures import Axis, Measure, stored, template_of
-from wavequake.campaign.one_by_one import one_by_one
+from wavequake.campaign.contract import Fixed
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
+from wavequake.campaign.measures import Axis, Measure, stored
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import frame_axes
 from wavequake.imaging.engines.zernike_psf import zernike_sum
 from wavequake.kernels.device.devices import NUMPY, Device, choose_device
@@ -30,7 +31,7 @@ from wavequake.workflows.mirrors.bench import (
     Bench,
     answers_of,
     bench_of,
-    case_table,
+    case_labels,
     cases_of,
     check_variants_of,
     imager_of,
@@ -38,13 +39,13 @@ from wavequake.workflows.mirrors.bench import (
     import_record,
     over_time,
     spot_check,
-    study_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.compared_models import (
     checked_models,
     image_error,
     reduction_measures,
+    stage_words,
     wavefront_rms,
 )
 from wavequake.workflows.mirrors.model_store import shown_name
@@ -68,16 +69,15 @@ FITTED_MODES = 120
 _UM_PER_MM = 1e3
 
 
-def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Reduce and judge the variants `cases`; one that does not suit the model is quarantined."""
-    study, device = study_of(study_text), choose_device(device_name)
-    variants = cases_of(study)
+def compute(study: MirrorStudy, table: CaseTable, device_name: str, clock: Stopwatch) -> Iterator[Block]:
+    """Reduce and judge variants; one that does not suit the model is quarantined."""
+    text, device, variants = study.identity_text(), choose_device(device_name), cases_of(study)
 
     def of_case(case: int) -> dict[str, Array | float]:
         name, variant = variants[case]
-        return judged(study, bench_of(study_text, name), answers_of(study_text, name), variant, device)
+        return judged(study, bench_of(text, name), answers_of(text, name), variant, device)
 
-    return one_by_one(template_of(_measures(), _axes(study)).per_case, cases, of_case)
+    return one_by_one(table["case"], of_case)
 
 
 def judged(
@@ -188,16 +188,14 @@ def reference_exposures(study: MirrorStudy, bench: Bench, answers: Answers, devi
     return _REFERENCES[key]
 
 
-def template(study_text: str) -> Template:
-    """Return what a store of this study holds."""
-    study = study_of(study_text)
+def fixed(study: MirrorStudy) -> dict[str, Fixed]:
+    """Return what a store of a study holds beside its measures."""
     checks = [spot_check(study, name) for name in study.models]
-    return template_of(
-        _measures(), _axes(study), checked_models(study.models, checks) | import_record(study_text)
-    )
+    return checked_models(study.models, checks) | import_record(study)
 
 
-def _measures() -> Iterator[Measure]:
+def measures(study: MirrorStudy) -> Iterator[Measure]:
+    """Yield the measures of a variant."""
     history, spectrum = ("excitation", "time"), ("frequency",)
     yield from reduction_measures("interfaces")
     words = "Frobenius norm of the mechanical-optical response, c_2 and on (Störkle 2018, Eq. 4.23)"
@@ -230,7 +228,8 @@ def _measures() -> Iterator[Measure]:
     yield stored("node_motion", "m", words, history)
 
 
-def _axes(study: MirrorStudy) -> dict[str, Axis]:
+def axes(study: MirrorStudy) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
     return {
         "frequency": Axis(study.reduction.hertz, "frequency", "Hz"),
         "time": Axis(study.time.seconds, "time", "s"),
@@ -245,36 +244,33 @@ def _axes(study: MirrorStudy) -> dict[str, Axis]:
     }
 
 
-def describe(study_text: str) -> dict[str, str]:
+def describe(study: MirrorStudy) -> dict[str, str]:
     """Return the models and how well their intermediate bases stand for them, for the plan."""
-    study = study_of(study_text)
-    lines = {}
+    text, lines = study.identity_text(), {}
     for name in study.models:
-        stage = bench_of(study_text, name).stage
-        frequencies, errors = spot_check(study, name)
-        worst = f", at most {errors.max():.1e} off the full model" if len(errors) else ""
-        lines[f"model {shown_name(study.model.content, name)}"] = (
-            f"{stage.full_order} degrees of freedom, intermediate {stage.order}{worst}"
-            + (f" at {', '.join(f'{one:.0f}' for one in frequencies)} Hz" if len(errors) else "")
-        )
+        stage = bench_of(text, name).stage
+        words = stage_words(stage, *spot_check(study, name))
+        lines[f"model {shown_name(study.model.content, name)}"] = words
     return lines
 
 
-def check(study_text: str) -> None:
+def check(study: MirrorStudy) -> None:
     """Raise UserError where model, variants, excitations or optics do not fit."""
-    study = study_of(study_text)
+    text = study.identity_text()
     for name in study.models:
-        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
-        answers_of(study_text, name)
+        check_variants_of(study, bench_of(text, name), study.reduction.variants)
+        answers_of(text, name)
 
 
-KIND = StudyKind(
+KIND = study_kind(
     "mirror-mor",
-    template,
-    case_table,
-    compute,
-    describe,
+    MirrorStudy,
+    cases=case_labels,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=fixed,
+    describe=describe,
     check=check,
     notices=import_notices,
-    model=MirrorStudy,
 )

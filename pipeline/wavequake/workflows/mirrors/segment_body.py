@@ -19,8 +19,7 @@ from wavequake.optics.shapes.shapes import Conic
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
-from wavequake.reduction.names import parse
-from wavequake.reduction.two_stage import covers, reduce_variants, reference
+from wavequake.workflows.mirrors.compared_models import reduced_model
 from wavequake.workflows.mirrors.model_store import DAMPING, digest, kept_intermediate
 from wavequake.workflows.mirrors.segment_section import ElasticSegmentSection, SegmentModelSection
 from wavequake.workflows.mirrors.study import FULL
@@ -87,10 +86,7 @@ def stage_record(
 
 def variant_of(body: SegmentBody, name: str) -> ReducedModel:
     """Return a model of a segment by its name: reduced, or "full", the intermediate one."""
-    if name == FULL:
-        return reference(body.stage)
-    whole = None if covers(body.stage, parse(name)) else body.full()
-    return reduce_variants(body.stage, [name], whole)[0]
+    return reduced_model(body.stage, body.full, name)
 
 
 def segment_plant(section: ElasticSegmentSection, system: OpticalSystem) -> Plant:

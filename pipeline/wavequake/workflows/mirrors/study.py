@@ -20,6 +20,7 @@ from wavequake.campaign.schema import (
     Section,
     StoreSection,
     Study,
+    each_once,
     require_own_names,
     text_of,
 )
@@ -139,10 +140,7 @@ class VariantsSection(Section):
             for one in value
             for name in ([one] if one in own else _orders_of(one))
         )
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
-            raise ValueError(f"the variant {twice[0]!r} is listed twice")
-        return names
+        return each_once(names)
 
     @model_validator(mode="after")
     def _own_models_have_been_read(self) -> "VariantsSection":
@@ -290,7 +288,7 @@ class CriterionSection(Section):
     )
 
 
-class MirrorCampaignSection(CampaignSection):
+class VariantsCampaignSection(CampaignSection):
     """How much of the study to run, and on which device; not part of its identity."""
 
     cases: int | None = Field(default=None, ge=1, description="default: all variants")  # type: ignore[assignment]
@@ -320,7 +318,7 @@ class AnyMirrorStudy(Study):
     excitation: Excitations
     time: TimeSection = TimeSection()
     optics: MirrorOpticsSection = MirrorOpticsSection()
-    campaign: MirrorCampaignSection = MirrorCampaignSection()
+    campaign: VariantsCampaignSection = VariantsCampaignSection()
     store: MirrorStoreSection = MirrorStoreSection()
 
     @property

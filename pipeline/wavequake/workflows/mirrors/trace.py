@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import ChunkResult, StudyKind, Template
-from wavequake.campaign.measures import Axis, Measure, stored, template_of
-from wavequake.campaign.one_by_one import one_by_one
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
+from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.mechanics.vibration.modal import modal_model
@@ -30,13 +29,12 @@ from wavequake.workflows.mirrors.base import driven
 from wavequake.workflows.mirrors.bench import (
     Bench,
     bench_of,
-    case_table,
+    case_labels,
     cases_of,
     check_variants_of,
     drive_at,
     import_notices,
     import_record,
-    trace_study_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.compared_models import variant_measures, wavefront_rms
@@ -82,16 +80,15 @@ class Wavefronts:
     rms_raw: Array
 
 
-def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Compute the variants `cases` by both methods; one that does not suit the model is quarantined."""
-    study, device = trace_study_of(study_text), choose_device(device_name)
-    variants = cases_of(study)
+def compute(study: TraceStudy, table: CaseTable, device_name: str, clock: Stopwatch) -> Iterator[Block]:
+    """Compute variants by both methods; one that does not suit the model is quarantined."""
+    text, device, variants = study.identity_text(), choose_device(device_name), cases_of(study)
 
     def of_case(case: int) -> dict[str, Array | float]:
         name, variant = variants[case]
-        return judged(study, bench_of(study_text, name), variant, device)
+        return judged(study, bench_of(text, name), variant, device)
 
-    return one_by_one(template_of(_measures(), _axes(study)).per_case, cases, of_case)
+    return one_by_one(table["case"], of_case)
 
 
 def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
@@ -255,7 +252,8 @@ def modal_method(
     return Wavefronts(aberrations, raw)
 
 
-def _measures() -> Iterator[Measure]:
+def measures(study: TraceStudy) -> Iterator[Measure]:
+    """Yield the measures of a variant."""
     history = ("excitation", "time")
     yield from variant_measures()
     words = "wavefront error rms of the fitted Zernikes j >= 4, every ray traced"
@@ -285,7 +283,8 @@ def _measures() -> Iterator[Measure]:
     yield stored("seconds", "s", words, ("excitation", "stage"), measured=True)
 
 
-def _axes(study: TraceStudy) -> dict[str, Axis]:
+def axes(study: TraceStudy) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
     return {
         "time": Axis(study.time.seconds, "time", "s"),
         "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
@@ -294,17 +293,11 @@ def _axes(study: TraceStudy) -> dict[str, Axis]:
     }
 
 
-def template(study_text: str) -> Template:
-    """Return what a store of this study holds."""
-    return template_of(_measures(), _axes(trace_study_of(study_text)), import_record(study_text))
-
-
-def describe(study_text: str) -> dict[str, str]:
+def describe(study: TraceStudy) -> dict[str, str]:
     """Return the size of each model and of its trace, for the plan."""
-    study = trace_study_of(study_text)
-    lines = {}
+    text, lines = study.identity_text(), {}
     for name in study.models:
-        bench = bench_of(study_text, name)
+        bench = bench_of(text, name)
         lines[f"model {shown_name(study.model.content, name)}"] = (
             f"{bench.stage.full_order} degrees of freedom, {counted(study.time.instants, 'instant')} of "
             f"{study.optics.rays} rays, {bench.optics.terms} Zernike terms"
@@ -312,20 +305,22 @@ def describe(study_text: str) -> dict[str, str]:
     return lines
 
 
-def check(study_text: str) -> None:
+def check(study: TraceStudy) -> None:
     """Raise UserError for a study that no variant of can succeed: model, excitations or optics do not fit."""
-    study = trace_study_of(study_text)
+    text = study.identity_text()
     for name in study.models:
-        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
+        check_variants_of(study, bench_of(text, name), study.reduction.variants)
 
 
-KIND = StudyKind(
+KIND = study_kind(
     "mirror-trace",
-    template,
-    case_table,
-    compute,
-    describe,
+    TraceStudy,
+    cases=case_labels,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=import_record,
+    describe=describe,
     check=check,
     notices=import_notices,
-    model=TraceStudy,
 )

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
@@ -156,8 +155,7 @@ def bench_of(study_text: str) -> Bench:
         If no ray of the pupil meets glass, or none of a segment the image, polygons overlap, or the study is
         otherwise impossible.
     """
-    with threadpool_limits(1):
-        return _prepared(study_text)
+    return _prepared(study_text)
 
 
 def _prepared(study_text: str) -> Bench:

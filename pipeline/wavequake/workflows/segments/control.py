@@ -3,13 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE, ChunkResult
-from wavequake.campaign.one_by_one import unknown_arrays
+from wavequake.campaign.contract import DONE, ChunkResult, unknown_arrays
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.workflows.segments.modal import modal_cases
-from wavequake.workflows.segments.study import SegmentStudy, without_images
-from wavequake.workflows.segments.template import computed
+from wavequake.workflows.segments.study import WHOLE, SegmentStudy, without_images
+from wavequake.workflows.segments.template import template
 from wavequake.workflows.study import study_with
 
 Array = NDArray[np.float64]
@@ -20,10 +19,7 @@ _MODAL = {
     "optics.light": "modal",
     "optics.modal_tolerance_nm": _ANY,
     "optics.modal_sample": 0.0,
-    "store.images": "double",
-    "store.reduce": "none",
-    "store.every": 1,
-    "store.keep": [],
+    **WHOLE,
 }
 
 
@@ -68,7 +64,7 @@ def modal_numbers(partner: SegmentStudy, cases: NDArray[np.int64], device: str) 
 
 def _untraced(study_text: str, cases: NDArray[np.int64], device: str) -> ChunkResult:
     """Return cases without a number in the place of traces, which nobody needs here."""
-    numbers = {name: one for name, one in computed(study_text).items() if one.dtype != "int8"}
+    numbers = {name: one for name, one in template(study_text).per_case.items() if one.dtype != "int8"}
     arrays = unknown_arrays(numbers, len(cases))
     status = np.full(len(cases), DONE, dtype=np.int8)
     return ChunkResult(arrays, status, ("",) * len(cases))

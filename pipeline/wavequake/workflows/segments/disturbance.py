@@ -6,15 +6,13 @@ instants' point spread functions make the case's exposure (`imaging`).
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind
-from wavequake.campaign.one_by_one import unknown_arrays
-from wavequake.campaign.schema import study_from_identity
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, unknown_arrays
+from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import require_pixels
 from wavequake.chain.images.extended import check_object
@@ -47,11 +45,19 @@ from wavequake.workflows.segments.bench import (
     monolithic,
 )
 from wavequake.workflows.segments.draws import draw_realizations, sampling_plan, way_between
-from wavequake.workflows.segments.exposures import Gathered, add_images, exposed, frame_notices, gather
+from wavequake.workflows.segments.exposures import (
+    Gathered,
+    add_energies,
+    add_images,
+    coarse_figures,
+    exposed,
+    frame_notices,
+    gather,
+    images_of_stills,
+    ray_notices,
+)
 from wavequake.workflows.segments.images import (
     camera_of,
-    coarse_figures,
-    ray_notices,
     refuse_what_cannot_be_imaged,
 )
 from wavequake.workflows.segments.judged_models import judged
@@ -70,16 +76,21 @@ from wavequake.workflows.segments.rare import rare_cases
 from wavequake.workflows.segments.study import SegmentStudy
 from wavequake.workflows.segments.template import (
     OF_ALL_PLACES,
+    axes,
+    fixed,
+    measures,
+    memory,
     of_one_place,
     over_places,
     place_axis,
     places_of,
-    template,
 )
 from wavequake.workflows.segments.vignetting import require_all_rays
 from wavequake.workflows.systems.out_of_focus import require_focus
 
 Array = NDArray[np.float64]
+
+_TOGETHER = 16  # exposures whose energies are looked at: they stay in the cache
 
 
 def draw(bench: Bench, case: int) -> CaseDraw:
@@ -114,15 +125,24 @@ def _drawn_with(
         yield CaseDraw(population, realization, time, motion, way, model)
 
 
-def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Compute the numbers of `cases` over their instants, by full traces or by the modal model."""
-    if bench_of(study_text).study.optics.light == "modal":
-        return modal_cases(study_text, cases, device_name, trace_cases)
-    found = trace_cases(study_text, cases, device_name)
-    if bench_of(study_text).study.rare is None:
-        return found
-    weights = rare_cases(study_text).labels(cases)  # one disturbance: the case is its realization
-    return replace(found, arrays={**found.arrays, **weights})
+def prepare(study: SegmentStudy) -> Bench:
+    """Return what all cases of a study share; raises as `bench_of`."""
+    return bench_of(study.identity_text())
+
+
+def compute(bench: Bench, table: CaseTable, device_name: str, clock: Stopwatch) -> Block:
+    """Compute the numbers of cases over their instants, by full traces or by the modal model."""
+    text, cases = bench.text, table["case"]
+    if bench.study.optics.light == "modal":
+        found = modal_cases(text, cases, device_name, trace_cases)
+    else:
+        found = trace_cases(text, cases, device_name)
+    clock.seconds |= found.timings
+    weights = {}
+    if bench.study.rare is not None:
+        weights = rare_cases(text).labels(cases)  # one disturbance: the case is its realization
+    messages = {row: message for row, message in enumerate(found.messages) if message}
+    return Block({**found.arrays, **weights}, messages=messages)
 
 
 def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -185,9 +205,14 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
             for piece in launch:
                 put_states(states, piece.place, bench, draws[piece.row], slice(piece.first, piece.last))
         with clock("trace"):
-            rays = trace_states(bench.prepared, states, device)
+            chief = chief_rays(bench.prepared, states)
+            rays = trace_states(bench.prepared, states, device, chief)
         with clock("wavefront"):
-            wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, states), device)
+            wavefront = analyse(bench.prepared, rays, chief, device)
+        stills: dict[int, Array] = {}
+        if "exposure" in arrays:
+            with clock("image"):
+                stills = images_of_stills(bench, wavefront, launch, draws, instants)
         for piece in launch:
             row, drawn = piece.row, draws[piece.row]
             messages[row] = messages[row] or lost_segment(bench.system, drawn, wavefront, piece)
@@ -202,10 +227,10 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
                 with clock("image"):
                     if row not in gathered:
                         gathered[row] = gather(bench, drawn.way)
-                    add_images(bench, gathered[row], rays, wavefront, piece)
+                    add_images(bench, gathered[row], rays, wavefront, piece, stills.get(row))
             except UserError as error:  # tilts that no image can be made of concern this case alone
                 messages[row] = str(error)
-    status = np.full(len(draws), DONE, dtype=np.int8)
+    status, exposures = np.full(len(draws), DONE, dtype=np.int8), dict[int, Array]()
     for row, message in enumerate(messages):
         if message:
             status[row] = RAISED
@@ -217,8 +242,12 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
         if "exposure" in arrays:
             with clock("image"):
                 found = exposed(bench, gathered.pop(row), instants[row], draws[row])
+                exposures[row] = found["exposure"]
+                add_energies(bench, arrays, exposures, _TOGETHER)
             for name, values in found.items():
                 arrays[name][row] = values
+    with clock("image"):
+        add_energies(bench, arrays, exposures, 1)
     return ChunkResult(arrays, status, tuple(messages), clock.seconds)
 
 
@@ -247,29 +276,22 @@ def _record(
         arrays["segment_motion"][row, there] = drawn.motion.segment_motion[there]
 
 
-def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
-    """Return the labels of cases first <= id < last: disturbance, realization and seed."""
-    return case_labels(study_from_identity(SegmentStudy, study_text), np.arange(first, last))
-
-
-def describe(study_text: str) -> dict[str, str]:
+def describe(bench: Bench) -> dict[str, str]:
     """Return what the disturbances amount to by their parameters alone, for the plan."""
-    bench = bench_of(study_text)
     units = {"mas": "mas rms line of sight", "nm": "nm rms piston per segment"}
     known = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
     rays = f"{len(bench.prepared.weight)} on {len(bench.system.segments)} segments"
     bodies = standing(bench.bodies.plants)
-    return {"rays": rays, **bodies, **sampling_plan(study_text).words()} | {
+    return {"rays": rays, **bodies, **sampling_plan(bench.text).words()} | {
         name: f"{value[0]:.3g} {units[value[1]]}" for name, value in known.items() if value
     }
 
 
-def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
+def work(bench: Bench, cases: int) -> dict[str, tuple[float, str]]:
     """Return the number of ray-surfaces traced for `cases` cases (padding of the instants included).
 
     By the modal model, it is the number of segments at an instant instead.
     """
-    bench = bench_of(study_text)
     populations, shares = bench.study.disturbance, sum(entry.share for entry in bench.study.disturbance)
     if bench.study.optics.light == "modal":
         instants = cases * sum(entry.share * entry.instants for entry in populations) / shares
@@ -280,9 +302,10 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     return {"trace": (instants * rays * surfaces, "ray-surfaces")}
 
 
-def check(study_text: str) -> None:
+def check(study: SegmentStudy) -> None:
     """Raise UserError if the telescope at rest has no image, or a disturbance does not fit its mirror."""
-    require_focus(study_from_identity(SegmentStudy, study_text))  # soon; all else takes a while
+    require_focus(study)  # soon; all else takes a while
+    study_text = study.identity_text()
     bench = bench_of(study_text)
     if any(isinstance(entry, edge_sensors.EdgeSensorNoise) for entry in bench.study.disturbance):
         edge_sensors.shared_edges(bench.layout)  # says that there are none
@@ -305,13 +328,13 @@ def check(study_text: str) -> None:
             draw_case(populations, population, bench.layout, bench.study.study.seed, 0)
 
 
-def notices(study_text: str) -> Iterator[str]:
+def notices(study: SegmentStudy) -> Iterator[str]:
     """Yield what to say of keys without effect, of light that mirrors stop, of too few rays for images."""
-    bench = bench_of(study_text)
+    bench = prepare(study)
     yield from bench.study.unused_keys(monolithic(bench.system))
     if bench.study.rare is not None:
         yield "Cases are drawn near a limit: their statistics are those of wavequake rare, by their weights"
-    for one in benches_of(study_text):
+    for one in benches_of(bench.text):
         if words := one.stopped.words():
             yield f"{words}{' from ' * bool(one.where)}{one.where}"
     for entry in bench.study.disturbance:
@@ -327,15 +350,19 @@ def notices(study_text: str) -> Iterator[str]:
     yield from frame_notices(bench)
 
 
-KIND = StudyKind(
+KIND = study_kind(
     "segment-disturbance",
-    template,
-    case_table,
-    compute,
-    describe,
-    work,
-    check,
-    notices,
-    model=SegmentStudy,
+    SegmentStudy,
+    prepare=prepare,
+    cases=case_labels,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=fixed,
+    describe=describe,
+    work=work,
+    check=check,
+    notices=notices,
+    memory=memory,
     compared=("disturbance", "reduction"),
 )

@@ -15,12 +15,11 @@ from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.registry import (
     Disturbance,
     Motion,
-    draw_case,
     draw_cases,
     draw_sight,
     parts,
 )
-from wavequake.mechanics.disturbances.source import TOGETHER, Source
+from wavequake.mechanics.disturbances.source import TOGETHER
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.mechanics.disturbances.supports import Supports
 from wavequake.prepared import prepared
@@ -44,20 +43,7 @@ def sampling_plan(study_text: str) -> Plan:
         If they are too many for the plan that the study asks for.
     """
     bench = bench_of(study_text)
-    study = bench.study
-    singles = [entry for entry in study.disturbance if isinstance(entry, Source)]
-
-    def draw(streams: Streams) -> None:
-        for entry in singles:
-            draw_case(singles, entry, bench.layout, study.study.seed, 0, streams)
-
-    return plan_of(
-        study.campaign,
-        study.study.seed,
-        [entry.share for entry in study.disturbance],
-        draw,
-        singles,
-    )
+    return plan_of(bench.study.campaign, bench.study.study.seed, bench.study.disturbance, bench.layout)
 
 
 def draw_realization(bench: Bench, population: Disturbance, realization: int, model: str = FULL) -> Motion:

@@ -5,7 +5,6 @@ A line of sight that runs on between the instants that are traced leaves a strea
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,26 +12,32 @@ from numpy.typing import NDArray
 from wavequake.chain.images.camera import noise_of, seen
 from wavequake.chain.images.coherent import LitObject, lit_images, lit_object
 from wavequake.chain.images.extended import object_image
+from wavequake.imaging.engines.matrix_fourier import samples_needed
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import cut
-from wavequake.imaging.exposures.smear import add_smeared, empty_total, smeared_image
+from wavequake.imaging.exposures.smear import Smeared, add_smeared, empty_total, smeared_image
+from wavequake.imaging.pupils.nyquist import too_few_rays
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.disturbances.registry import parts
+from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
-from wavequake.workflows.segments.bench import MAS_PER_RAD, Bench, bench_at
+from wavequake.workflows.segments.bench import MAS_PER_RAD, Bench, bench_at, monolithic
 from wavequake.workflows.segments.images import (
     CANVAS,
+    by_rays,
     camera_of,
+    colors,
     energy_scale,
     lit_coherently,
     local_images,
     ray_phase,
+    still_images,
     summed_images,
 )
 from wavequake.workflows.segments.launches import CaseDraw, Piece
@@ -41,6 +46,8 @@ Array = NDArray[np.float64]
 
 # Standard deviations of the line of sight that frames should reach.
 _REACH = 2.5
+# Highest degree of a figure whose rms over a hexagon so many rays give within 5 %.
+_FIGURE_DEGREES = {6: 1, 18: 2, 36: 3, 72: 5}
 
 
 @dataclass(frozen=True)
@@ -52,16 +59,15 @@ class Gathered:
     ways : ndarray, shape (n, m, 2), optional
         Line of sight from the instant before to each of those that are traced, lambda/D, where it moves by
         itself. The last place is first.
-    totals : tuple of ndarray
-        Sums of all images so far, in the image and in planes through focus; with ways, of their spectra
-        (`wavequake.imaging.exposures.smear.empty_total`).
-    lit : ndarray, optional
+    totals : tuple of ndarray or Smeared
+        Sums of all images so far, in the image and in planes through focus; with ways, as they move.
+    lit : ndarray or Smeared, optional
         The same of an object whose light interferes.
     """
 
     ways: Array | None
-    totals: tuple[NDArray[Any], ...]
-    lit: NDArray[Any] | None
+    totals: tuple[Array | Smeared, ...]
+    lit: Array | Smeared | None
 
 
 def frame_notices(bench: Bench) -> Iterator[str]:
@@ -83,6 +89,33 @@ def frame_notices(bench: Bench) -> Iterator[str]:
             )
 
 
+def ray_notices(bench: Bench) -> Iterator[str]:
+    """Yield what to say of too few rays for the field of images that are sums over rays."""
+    imaging = bench.study.imaging
+    if not imaging.enabled or not (by_rays(bench) or lit_coherently(bench)):
+        return
+    scale = energy_scale(bench)
+    field = CANVAS * imaging.pixels * imaging.sampling * max(factor for factor, _ in colors(bench))
+    fill = scale["area"] / bench.stopped.light / scale["diameter"] ** 2  # of all glass, as the rays are
+    if text := too_few_rays(bench.stopped.rays, fill, samples_needed(0.0, field), field):
+        yield text
+
+
+def coarse_figures(bench: Bench) -> Iterator[str]:
+    """Yield what to say of figures that are too fine for the rays of a segment."""
+    optics = bench.study.optics
+    if optics.sampling != "segments" or monolithic(bench.system) or not bench.figure_terms:
+        return
+    degree, rays = noll_to_nm(bench.figure_terms)[0], optics.rays_per_segment
+    if degree > _FIGURE_DEGREES[rays]:
+        enough = [str(count) for count, most in _FIGURE_DEGREES.items() if degree <= most]
+        remedy = f"optics.rays_per_segment = {enough[0]}" if enough else "optics.sampling = 'sunflower'"
+        yield (
+            f"{rays} rays per segment are too few for its figure of j = {bench.figure_terms}, whose rms they "
+            f"may miss by more than 5 %; take {remedy}"
+        )
+
+
 def gather(bench: Bench, way: Array | None = None) -> Gathered:
     """Return the exposures of a case of which nothing is imaged yet.
 
@@ -98,10 +131,10 @@ def gather(bench: Bench, way: Array | None = None) -> Gathered:
     if way is not None and (way != way[0, 0]).any():
         ways = way * (2.0 * bench.system.annulus.outer / bench.unit_mm)
 
-    def none_yet(pixels: int) -> NDArray[Any]:
+    def none_yet(pixels: int) -> Array | Smeared:
         if ways is None:
             return np.zeros((pixels, pixels))
-        return empty_total(CANVAS * imaging.pixels, ways, imaging.sampling)
+        return empty_total(CANVAS * imaging.pixels, ways, imaging.sampling, pixels)
 
     totals = tuple(none_yet(size) for _ in (0.0, *imaging.focus_um))
     return Gathered(ways, totals, none_yet(imaging.pixels) if lit_coherently(bench) else None)
@@ -112,11 +145,33 @@ def _frames(bench: Bench) -> int:
     return CANVAS if bench.study.object is not None and not lit_coherently(bench) else 1
 
 
-def add_images(bench: Bench, gathered: Gathered, traced: Traced, wavefront: Wavefront, piece: Piece) -> None:
-    """Add the images of a piece of a case to its exposures; raises as `instant_images`."""
+def images_of_stills(
+    bench: Bench, wavefront: Wavefront, launch: list[Piece], draws: list[CaseDraw], instants: list[int]
+) -> dict[int, Array]:
+    """Return the images in focus of cases that stand still, by their rows, as far as a tile makes them."""
+    there = {one.place: one.row for one in launch if instants[one.row] == 1 and draws[one.row].way is None}
+    found = still_images(bench, wavefront, sorted(there), _frames(bench))
+    return {there[place]: image for place, image in found.items()}
+
+
+def add_images(
+    bench: Bench,
+    gathered: Gathered,
+    traced: Traced,
+    wavefront: Wavefront,
+    piece: Piece,
+    focused: Array | None = None,
+) -> None:
+    """Add the images of a piece of a case to its exposures; raises as `instant_images`.
+
+    That of a single instant may be known in focus, (pixels, pixels).
+    """
     imaging, there, ways = bench.study.imaging, slice(piece.first, piece.last), gathered.ways
     for total, behind in zip(gathered.totals, (0.0, *imaging.focus_um), strict=True):
-        if ways is None:
+        if focused is not None and not behind:
+            total += focused
+            continue
+        if ways is None or not isinstance(total, Smeared):
             total += summed_images(bench, traced, wavefront, piece.here, behind, _frames(bench))
             continue
         size = CANVAS * imaging.pixels
@@ -133,7 +188,7 @@ def add_images(bench: Bench, gathered: Gathered, traced: Traced, wavefront: Wave
     phases = ray_phase(bench, traced, piece.here, slopes) * (bench.unit_mm / bench.prepared.wavelength)
     for images in lit_images(lit, phases):
         last = first + len(images)
-        if ways is None:
+        if ways is None or not isinstance(gathered.lit, Smeared):
             gathered.lit[:] += images.sum(axis=0)
         else:
             add_smeared(gathered.lit, images, ways[first:last], imaging.sampling)
@@ -155,11 +210,10 @@ def _lit(study_text: str, place: int, canvas: int) -> LitObject:
 
 def exposed(bench: Bench, gathered: Gathered, instants: int, drawn: CaseDraw) -> dict[str, Array]:
     """Return the exposures of a whole case of so many traced instants, and what a camera makes of them."""
-    imaging, scale = bench.study.imaging, energy_scale(bench)
+    imaging = bench.study.imaging
     canvas, *through = (_mean(bench, gathered, total, instants) for total in gathered.totals)
     exposure = cut(canvas, imaging.pixels)
     found = {"exposure": exposure, "peak": np.asarray(exposure.max())}
-    found |= zip(("ee50", "ee80"), encircled_energy_radius(exposure, (0.5, 0.8), **scale), strict=True)
     if through:
         found["exposure_focus"] = np.stack([cut(one, imaging.pixels) for one in through])
     own = f"/{bench.place}" if bench.place else ""  # the detector's noise at each field point
@@ -168,6 +222,20 @@ def exposed(bench: Bench, gathered: Gathered, instants: int, drawn: CaseDraw) ->
     if bench.study.object is not None:
         found["object_image"] = _object(bench, gathered, instants)
     return found
+
+
+def add_energies(bench: Bench, arrays: dict[str, Array], exposures: dict[int, Array], at_least: int) -> None:
+    """Write the radii of encircled energy of exposures (pixels, pixels) to their rows, if there are enough.
+
+    Those of many take half the time of each by itself; their bits are the same. What is written is forgotten.
+    """
+    if len(exposures) < at_least:
+        return
+    images = np.stack(list(exposures.values()))
+    radii = encircled_energy_radius(images, (0.5, 0.8), **energy_scale(bench))
+    for name, values in zip(("ee50", "ee80"), radii, strict=True):
+        arrays[name][list(exposures)] = values
+    exposures.clear()
 
 
 def object_at_rest(bench: Bench) -> Array:
@@ -190,9 +258,9 @@ def _object(bench: Bench, gathered: Gathered, instants: int) -> Array:
     return object_image(shown, canvas, imaging.pixels, **energy_scale(bench))
 
 
-def _mean(bench: Bench, gathered: Gathered, total: NDArray[Any], instants: int) -> Array:
+def _mean(bench: Bench, gathered: Gathered, total: Array | Smeared, instants: int) -> Array:
     """Return the mean of a sum of images."""
     imaging, ways = bench.study.imaging, gathered.ways
-    if ways is None:
+    if ways is None or not isinstance(total, Smeared):
         return np.asarray(total / instants)
     return smeared_image(total, ways, CANVAS * imaging.pixels, imaging.sampling)

@@ -1,6 +1,6 @@
 """Exposures of a bench: every instant's own point spread function, placed at its line of sight."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 from wavequake.chain.images.camera import Camera
 from wavequake.errors import UserError
 from wavequake.imaging.engines.division import Division, divide, divided_phase
-from wavequake.imaging.engines.matrix_fourier import samples_needed
 from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis, segment_basis
 from wavequake.imaging.engines.segment_psf import amplitude_images, psf, shift_phase, truncation_error
 from wavequake.imaging.exposures.placement import place
-from wavequake.imaging.pupils.nyquist import too_few_rays
 from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.kernels.trace.train import Traced, vignetted
-from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.tables import kept
@@ -112,37 +109,6 @@ def _at(bench: Bench) -> str:
     return f"At {bench.where}: " if bench.where else ""
 
 
-def ray_notices(bench: Bench) -> Iterator[str]:
-    """Yield what to say of too few rays for the field of images that are sums over rays."""
-    imaging = bench.study.imaging
-    if not imaging.enabled or not (by_rays(bench) or lit_coherently(bench)):
-        return
-    scale = energy_scale(bench)
-    field = CANVAS * imaging.pixels * imaging.sampling * max(factor for factor, _ in colors(bench))
-    fill = scale["area"] / bench.stopped.light / scale["diameter"] ** 2  # of all glass, as the rays are
-    if text := too_few_rays(bench.stopped.rays, fill, samples_needed(0.0, field), field):
-        yield text
-
-
-# Highest degree of a figure whose rms over a hexagon so many rays give within 5 %.
-_FIGURE_DEGREES = {6: 1, 18: 2, 36: 3, 72: 5}
-
-
-def coarse_figures(bench: Bench) -> Iterator[str]:
-    """Yield what to say of figures that are too fine for the rays of a segment."""
-    optics = bench.study.optics
-    if optics.sampling != "segments" or monolithic(bench.system) or not bench.figure_terms:
-        return
-    degree, rays = noll_to_nm(bench.figure_terms)[0], optics.rays_per_segment
-    if degree > _FIGURE_DEGREES[rays]:
-        enough = [str(count) for count, most in _FIGURE_DEGREES.items() if degree <= most]
-        remedy = f"optics.rays_per_segment = {enough[0]}" if enough else "optics.sampling = 'sunflower'"
-        yield (
-            f"{rays} rays per segment are too few for its figure of j = {bench.figure_terms}, whose rms they "
-            f"may miss by more than 5 %; take {remedy}"
-        )
-
-
 def colors(bench: Bench) -> tuple[tuple[float, float], ...]:
     """Return of each wavelength of the images how much shorter than that of lambda/D it is, and how bright.
 
@@ -214,6 +180,8 @@ def instant_images(
     pixel = np.rint(position / imaging.sampling) if moves else np.zeros_like(position)
     size = frames * imaging.pixels * (CANVAS if moves else 1)
     images = local_images(bench, traced, wavefront, here, pixel * imaging.sampling, size, behind_um)
+    if not moves:
+        return images.astype(np.float64)
     return place(images, pixel.astype(np.int64), frames * imaging.pixels)
 
 
@@ -253,14 +221,51 @@ def _colored(
     diameter, dark = 2.0 * bench.system.annulus.outer, wavefront.vignetted[here] > 0
     if by_rays(bench) or behind_um:
         return _ray_images(bench, traced, here, shift / diameter, size, factor, behind_um, wavefront.device)
-    centers = bench.system.segments.centers[:, :2]
-    waves = bench.prepared.wavelength / bench.unit_mm  # of the wavefront, in those of lambda/D
-    phase = shift_phase(-waves * wavefront.segment_phase[here], shift, centers, diameter)
-    frames = _psf(bench, phase * factor, size, factor, wavefront.device)
+    frames = _psf(bench, _planes(bench, wavefront, here, shift) * factor, size, factor, wavefront.device)
     if dark.any():
         lit = _ray_images(bench, traced, here, shift / diameter, size, factor, 0.0, wavefront.device)
         frames[dark] = lit[dark]
     return frames
+
+
+def _planes(bench: Bench, wavefront: Wavefront, here: slice | NDArray[np.intp], shift: Array) -> Array:
+    """Return the phases (instants, S, 3) of segments in waves of lambda/D, moved by lambda/D."""
+    centers, waves = bench.system.segments.centers[:, :2], bench.prepared.wavelength / bench.unit_mm
+    diameter = 2.0 * bench.system.annulus.outer
+    return shift_phase(-waves * wavefront.segment_phase[here], shift, centers, diameter)
+
+
+def still_images(
+    bench: Bench, wavefront: Wavefront, instants: Sequence[int], frames: int
+) -> dict[int, Array]:
+    """Return images of cases that have a single instant, by its number: as `instant_images`, a tile at once.
+
+    Each takes the moments that it needs by itself, and lanes of a processor's vectors compute alone: bits do
+    not depend on the others. Left out are those whose images are made in another way.
+    """
+    imaging, device = bench.study.imaging, wavefront.device
+    (factor, _), *more = colors(bench)
+    if device.kind != "cpu" or by_rays(bench) or imaging.moments != "auto" or more:
+        return {}
+    here = np.array([one for one in instants if not wavefront.vignetted[one]], dtype=np.intp)
+    per_mm = 2.0 * bench.system.annulus.outer / (bench.unit_mm * bench.prepared.focal_length)
+    here = here[np.abs((wavefront.los[here] - bench.static.los[0]) * per_mm).max(axis=1, initial=0.0) <= 1.0]
+    shift = (wavefront.chief[here] - bench.static.chief[0]) * per_mm
+    phase, size = _planes(bench, wavefront, here, shift) * factor, frames * imaging.pixels
+    found: dict[int, Array] = {}
+    for moments in _AUTO_MOMENTS[:-1]:
+        if not len(here):
+            break
+        basis = _basis(bench.text, size, moments, factor)
+        bounds = truncation_error(basis, phase)
+        enough = bounds <= _TOLERANCE
+        needed = np.where(enough[-1], enough.argmax(axis=0), -1)
+        for degree in np.unique(needed[enough[-1]]):
+            rows = np.flatnonzero(needed == degree)
+            images = psf(basis, phase[rows], _TOLERANCE, device, bounds[:, rows]).astype(np.float64)
+            found |= zip(here[rows].tolist(), images.reshape(-1, size, size), strict=True)
+        here, phase = here[needed < 0], phase[needed < 0]
+    return found
 
 
 def _ray_images(
@@ -337,8 +342,9 @@ def _psf(
     *quick, last = _AUTO_MOMENTS
     for moments in quick:
         basis = _basis(bench.text, pixels, moments, factor)
-        if truncation_error(basis, phase)[-1].max() <= _TOLERANCE:
-            return psf(basis, phase, _TOLERANCE, device)
+        bounds = truncation_error(basis, phase)
+        if bounds[-1].max() <= _TOLERANCE:
+            return psf(basis, phase, _TOLERANCE, device, bounds)
     whole = _basis(bench.text, pixels, last, factor)
     if truncation_error(whole, phase)[-1].max() > _TOLERANCE:
         for halvings in range(_HALVINGS):

@@ -11,8 +11,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE, ChunkResult
-from wavequake.campaign.one_by_one import unknown_arrays
+from wavequake.campaign.contract import DONE, ChunkResult, unknown_arrays
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.sampling import slots
 from wavequake.kernels.device.devices import choose_device
@@ -33,7 +32,7 @@ from wavequake.optics.wavefronts.quality import meets_marechal
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.draws import draw_realization, draw_realizations, sampling_plan
 from wavequake.workflows.segments.model import knows, model_of, motion_rows
-from wavequake.workflows.segments.template import ERRORS, computed
+from wavequake.workflows.segments.template import ERRORS, template
 
 Array = NDArray[np.float64]
 Cases = NDArray[np.int64]
@@ -66,7 +65,7 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
     bench, clock = bench_of(study_text), Stopwatch()
     study = bench.study
     model, device = model_of(study_text, device_name), choose_device(device_name)
-    numbers = {name: one for name, one in computed(study_text).items() if one.dtype != "int8"}
+    numbers = {name: one for name, one in template(study_text).per_case.items() if one.dtype != "int8"}
     arrays = unknown_arrays(numbers, len(cases))
     which, realizations = slots([entry.share for entry in study.disturbance], cases)
     for index, population in enumerate(study.disturbance):
@@ -172,7 +171,11 @@ def _draw_pistons(
     for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(realizations) != 1) + 1):
         begin = int(realizations[run[0]])
         drawn = amplitudes_of_run(population, segments, bench.study.study.seed, begin, len(run), device)
-        motions[rows[run], first : first + segments] = drawn * moving
+        here = rows[run]
+        if here[-1] - here[0] == len(here) - 1:  # a tile after the other
+            np.multiply(drawn, moving, out=motions[here[0] : here[-1] + 1, first : first + segments])
+        else:
+            motions[here, first : first + segments] = drawn * moving
 
 
 def _separable(

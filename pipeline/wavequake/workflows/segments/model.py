@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE
@@ -34,8 +33,7 @@ def model_of(study_text: str, device_name: str, others: tuple[int, ...] = ()) ->
         motion = draw_case(study.disturbance, population, bench.layout, study.study.seed, 0, time=time)
         moved |= set(np.flatnonzero(motion.segment_motion.any(axis=(0, 1))).tolist())
         moved |= {RIGID + term for term in np.flatnonzero(_any_term(motion.segment_figure)).tolist()}
-    with threadpool_limits(1):  # their number decides the last bits
-        return modal_model(bench.prepared, choose_device(device_name), tuple(sorted(moved)))
+    return modal_model(bench.prepared, choose_device(device_name), tuple(sorted(moved)))
 
 
 def motion_rows(bench: Bench, model: ModalModel, motion: Motion, rows: int) -> Array:
@@ -58,7 +56,8 @@ def knows(model: ModalModel, motion: Motion) -> bool:
     """Return whether the model knows all that moves."""
     rigid = [dof for dof in range(RIGID) if dof not in model.dofs]
     terms = [term for term in range(motion.segment_figure.shape[-1]) if RIGID + term not in model.dofs]
-    moved = motion.segment_motion[..., rigid].any() or motion.segment_figure[..., terms].any()
+    moved = any(motion.segment_motion[..., dof].any() for dof in rigid)
+    moved = moved or bool(motion.segment_figure[..., terms].any())
     named = (*motion.rigid.values(), *motion.figure.values())
     return not (moved or any(values.any() for values in named))
 

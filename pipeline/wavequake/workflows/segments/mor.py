@@ -10,9 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import ChunkResult, StudyKind
-from wavequake.campaign.one_by_one import one_by_one
+from wavequake.campaign.contract import Fixed
+from wavequake.campaign.measured import Block, CaseTable, one_by_one, study_kind
+from wavequake.campaign.measures import Axis, Measure, stored
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.camera import frame_axes
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import TILE, padded
@@ -27,8 +29,15 @@ from wavequake.prepared import prepared
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import check_variants
-from wavequake.workflows.mirrors.compared_models import image_error, variant_labels
-from wavequake.workflows.mirrors.segment_body import NM_PER_MM, height_rows
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.mirrors.compared_models import (
+    checked_models,
+    image_error,
+    reduction_measures,
+    stage_words,
+    variant_labels,
+)
+from wavequake.workflows.mirrors.segment_body import NM_PER_MM, height_rows, variant_of
 from wavequake.workflows.mirrors.study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.images import summed_images
@@ -37,12 +46,10 @@ from wavequake.workflows.segments.mor_bench import (
     chosen_segments,
     model_of,
     motions,
-    reduced,
     spot_check,
-    study_of,
+    traced_instants,
 )
 from wavequake.workflows.segments.mor_study import SegmentMorStudy
-from wavequake.workflows.segments.mor_template import template
 
 Array = NDArray[np.float64]
 
@@ -57,15 +64,10 @@ def cases_of(study: SegmentMorStudy) -> list[tuple[str, str]]:
     return [(disturbed, variant) for disturbed in study.segments.disturbed for variant in study.compared]
 
 
-def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Reduce, trace and judge the variants `cases`; one that fails is quarantined with the reason."""
-    each, clock = cases_of(study_of(study_text)), Stopwatch()
-    return one_by_one(
-        template(study_text).per_case,
-        cases,
-        lambda case: judged(study_text, *each[case], device_name, clock),
-        clock,
-    )
+def compute(study: SegmentMorStudy, table: CaseTable, device_name: str, clock: Stopwatch) -> Iterator[Block]:
+    """Reduce, trace and judge variants; one that fails is quarantined with the reason."""
+    text, each = study.identity_text(), cases_of(study)
+    return one_by_one(table["case"], lambda case: judged(text, *each[case], device_name, clock))
 
 
 def judged(
@@ -79,7 +81,7 @@ def judged(
         chosen, moved, seen = model.reference, truth[0], truth[1]
     else:
         with clock("response"):
-            chosen = reduced(model, variant)
+            chosen = variant_of(model, variant)
             moved = motions(study, model, chosen, chosen_segments(study, model.bench, disturbed).tolist())
         with clock("light"):
             seen = traced(study, model.bench, disturbed, moved, choose_device(device_name))
@@ -225,37 +227,82 @@ def _apart(prepared: PreparedTrace, opd: Array, reference: Array, instants: int)
     return np.stack([_rms(prepared, part)[:instants] for part in opd - reference])
 
 
-def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
-    """Return the labels of cases first <= id < last: what is shaken, variant, method and seed.
+def case_labels(study: SegmentMorStudy, ids: NDArray[np.int64]) -> CaseTable:
+    """Return the labels of cases: what is shaken, variant, method and seed.
 
     The first is called ``model``, as in ``mirror-mor``: variants are compared within it.
     """
-    study = study_of(study_text)
-    rows = cases_of(study)[first:last]
+    rows = [cases_of(study)[one] for one in ids]
     methods = [FULL if variant == FULL else parse(variant).method for _, variant in rows]
     named = [(SHAKEN[disturbed], variant) for disturbed, variant in rows]
     return variant_labels(named, methods, study.study.seed)
 
 
-def describe(study_text: str) -> dict[str, str]:
-    """Return the segment's model and how well its intermediate basis stands for it, for the plan."""
-    model = model_of(study_text)
-    frequencies, errors = spot_check(study_text)
-    at = ", ".join(f"{one:.0f}" for one in frequencies)
-    worst = f", at most {errors.max():.1e} off the full model at {at} Hz" if len(errors) else ""
-    stage, system = model.stage, model.bench.system
+def axes(study: SegmentMorStudy) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
     return {
-        "segment": f"{stage.full_order} degrees of freedom, intermediate {stage.order}{worst}",
+        "frequency": Axis(study.reduction.hertz, "frequency", "Hz"),
+        "time": Axis(study.time.seconds[traced_instants(study)], "time of the traced instants", "s"),
+        "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+        **frame_axes(study.imaging.pixels, study.imaging.sampling),
+    }
+
+
+def fixed(study: SegmentMorStudy) -> dict[str, Fixed]:
+    """Return what a store of a study holds beside its measures."""
+    return checked_models(["segment"], [spot_check(study.identity_text())])
+
+
+def measures(study: SegmentMorStudy) -> Iterator[Measure]:
+    """Yield the measures of a case."""
+    history, spectrum = ("excitation", "time"), ("frequency",)
+    yield from reduction_measures("supports")
+    words = "Frobenius norm of the response of the segment's Zernike coefficients, piston and tilt too"
+    yield stored("frf_opt", "nm/N", words, spectrum)
+    words = "relative error of the response of the segment's Zernike coefficients"
+    yield stored("eps_opt", "1", words, spectrum)
+    words = "rms over the rays on glass of the wavefront relative to rest, best-fit plane removed"
+    yield stored("wfe_rms", "nm", words, history)
+    words = "rms over the rays on glass of the difference from the reference's, best-fit plane removed"
+    yield stored("wfe_error", "nm", words, history)
+    words = "root of the sum of squares of the annular Zernikes j >= 4, relative to rest"
+    yield stored("wfe_zernike", "nm", words, history)
+    yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", history)
+    words = "line of sight relative to rest, in the image (Störkle 2018, Eq. 3.39)"
+    yield stored("los_mm", "mm", words, (*history, "axis"))
+    words = "rms over the shaken segments of the rigid displacement along their normals"
+    yield stored("segment_piston_rms", "nm", words, history)
+    words = "rms over the shaken segments of the root of the sum of squares of their figure's coefficients"
+    yield stored("segment_figure_rms", "nm", words, history)
+
+
+def describe(study: SegmentMorStudy) -> dict[str, str]:
+    """Return the segment's model and how well its intermediate basis stands for it, for the plan."""
+    model = model_of(study.identity_text())
+    system = model.bench.system
+    return {
+        "segment": stage_words(model.stage, *spot_check(study.identity_text())),
         "rays": f"{len(model.bench.prepared.weight)} on {len(system.segments)} segments of {system.name}",
     }
 
 
-def check(study_text: str) -> None:
+def check(study: SegmentMorStudy) -> None:
     """Raise UserError where telescope, segment, variants or excitations do not fit."""
-    study, model = study_of(study_text), model_of(study_text)
+    model = model_of(study.identity_text())
     check_variants(model.stage, study.reduction.variants)
     firsts = {int(chosen_segments(study, model.bench, one)[0]) for one in study.segments.disturbed}
     motions(study, model, model.reference, sorted(firsts))
 
 
-KIND = StudyKind("segment-mor", template, case_table, compute, describe, check=check, model=SegmentMorStudy)
+KIND = study_kind(
+    "segment-mor",
+    SegmentMorStudy,
+    cases=case_labels,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=fixed,
+    describe=describe,
+    check=check,
+)

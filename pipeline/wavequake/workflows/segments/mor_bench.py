@@ -5,9 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.model import ReducedModel
@@ -16,9 +14,9 @@ from wavequake.mechanics.vibration.excitations import AnyExcitation, RandomVibra
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import displacements, respond
 from wavequake.prepared import prepared
-from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
-from wavequake.reduction.two_stage import reference
-from wavequake.workflows.mirrors.model_store import digest, kept_arrays
+from wavequake.reduction.metrics import receptance
+from wavequake.workflows.kinds import study_of
+from wavequake.workflows.mirrors.compared_models import checked_model
 from wavequake.workflows.mirrors.segment_body import (
     SegmentBody,
     height_rows,
@@ -57,12 +55,6 @@ class SegmentModel(SegmentBody):
     optical: NDArray[np.complex128]
 
 
-def study_of(text: str) -> SegmentMorStudy:
-    """Rebuild a study from its identity."""
-    study: SegmentMorStudy = study_from_identity(SegmentMorStudy, text)
-    return study
-
-
 @prepared(maxsize=2)
 def model_of(text: str) -> SegmentModel:
     """Prepare a study; one BLAS thread, so that its bits are the same in every process.
@@ -73,22 +65,21 @@ def model_of(text: str) -> SegmentModel:
         If the telescope has no hexagonal segments, a dimension is not possible, or the surface has too few
         nodes for the Zernike terms.
     """
-    with threadpool_limits(1):
-        study = study_of(text)
-        bench = bench_of(telescope_study(study).identity_text())
-        require_all_rays(bench.stopped, "so that there are no wavefronts of all segments to compare")
-        body = segment_body(study.model, bench.system, study.reduction.last_hz, study.segments.figure_terms)
-        chosen, frequencies = variant_of(body, study.reduction.reference), study.reduction.hertz
-        return SegmentModel(
-            stage=body.stage,
-            full=body.full,
-            fit=body.fit,
-            turn=body.turn,
-            bench=bench,
-            reference=chosen,
-            mechanical=receptance(chosen, frequencies),
-            optical=receptance(chosen, frequencies, height_rows(body.fit, body.turn, chosen)),
-        )
+    study = study_of(text)
+    bench = bench_of(telescope_study(study).identity_text())
+    require_all_rays(bench.stopped, "so that there are no wavefronts of all segments to compare")
+    body = segment_body(study.model, bench.system, study.reduction.last_hz, study.segments.figure_terms)
+    chosen, frequencies = variant_of(body, study.reduction.reference), study.reduction.hertz
+    return SegmentModel(
+        stage=body.stage,
+        full=body.full,
+        fit=body.fit,
+        turn=body.turn,
+        bench=bench,
+        reference=chosen,
+        mechanical=receptance(chosen, frequencies),
+        optical=receptance(chosen, frequencies, height_rows(body.fit, body.turn, chosen)),
+    )
 
 
 def traced_instants(study: SegmentMorStudy) -> NDArray[np.int64]:
@@ -99,11 +90,6 @@ def traced_instants(study: SegmentMorStudy) -> NDArray[np.int64]:
     count = study.fewest_instants
     places = np.rint(np.arange(1, count + 1) * ((study.time.instants - 1) / count))
     return np.asarray(places, dtype=np.int64)
-
-
-def reduced(model: SegmentModel, variant: str) -> ReducedModel:
-    """Return a variant of the segment's model."""
-    return variant_of(model, variant)
 
 
 def chosen_segments(study: SegmentMorStudy, bench: Bench, disturbed: str) -> NDArray[np.int64]:
@@ -204,25 +190,8 @@ def segment_signs(study: SegmentMorStudy, excitation: AnyExcitation, bench: Benc
 
 
 def spot_check(text: str) -> tuple[Array, Array]:
-    """Compare the intermediate model with the full one where its basis was not built; kept on disk.
-
-    Returns
-    -------
-    frequencies, errors : ndarray, shape (checks,)
-        Hz, and the relative error of the transfer matrix (Störkle 2018, Eq. 2.10).
-    """
+    """Compare the intermediate model with the full one; see `checked_model`."""
     study, model = study_of(text), model_of(text)
     section = study.reduction
-    # Irrational parts of the band: no expansion point of the basis lies there.
-    parts = np.modf((np.arange(section.spot_checks) + 1) * (np.sqrt(5.0) - 1) / 2)[0]
-    frequencies = np.sort(section.first_hz + parts * (section.last_hz - section.first_hz))
-    if not len(frequencies):
-        return frequencies, frequencies.copy()
-
-    def checked() -> dict[str, Array]:
-        with threadpool_limits(1):
-            truth = full_receptance(model.full(), frequencies)
-            return {"errors": eps_mor(truth, receptance(reference(model.stage), frequencies))}
-
-    record = {"check": frequencies.tolist(), **stage_record(study.model, model.bench.system, section.last_hz)}
-    return frequencies, kept_arrays(digest(record), checked)["errors"]
+    record = stage_record(study.model, model.bench.system, section.last_hz)
+    return checked_model(section, section.first_hz, lambda: model, record)

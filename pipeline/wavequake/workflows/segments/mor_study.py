@@ -5,16 +5,16 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import Section, StoreSection, Study, text_of
+from wavequake.campaign.schema import Section, StoreSection, Study, each_once, text_of
 from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.workflows.mirrors.segment_section import SegmentModelSection
 from wavequake.workflows.mirrors.study import (
     CriterionSection,
     Excitations,
-    MirrorCampaignSection,
     ReductionSection,
     TimeSection,
+    VariantsCampaignSection,
 )
 from wavequake.workflows.segments.study import ImagingSection, SegmentStudy, SegmentWavefrontSection
 from wavequake.workflows.segments.telescope_section import OpticsSection, TelescopeSection
@@ -43,12 +43,7 @@ class SegmentsSection(Section):
     def _names_may_be_numbers(cls, value: object) -> object:
         return str(value) if type(value) is int else value
 
-    @field_validator("disturbed")
-    @classmethod
-    def _is_a_set(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(value)) < len(value):
-            raise ValueError("name 'one' and 'all' at most once each")
-        return value
+    _each_once = field_validator("disturbed")(each_once)
 
 
 class TracedTimeSection(TimeSection):
@@ -101,7 +96,7 @@ class SegmentMorStudy(Study):
     optics: SegmentMorOpticsSection = SegmentMorOpticsSection()
     imaging: SegmentMorImagingSection = SegmentMorImagingSection()
     criterion: CriterionSection = CriterionSection()
-    campaign: MirrorCampaignSection = MirrorCampaignSection()
+    campaign: VariantsCampaignSection = VariantsCampaignSection()
     store: SegmentMorStoreSection = SegmentMorStoreSection()
 
     @model_validator(mode="after")

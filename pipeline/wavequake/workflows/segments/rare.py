@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.rare.quadratic import QuadraticForm, Tilt, exceedance, limit_of, tilt_to
 from wavequake.campaign.statistics.judged import Judged, judged_of_template
@@ -90,9 +89,8 @@ def rare_cases(study_text: str) -> RareCases:
             f"{', '.join(MEASURES)}."
         )
     model = model_of(study_text, "numpy")  # the same on every worker
-    with threadpool_limits(1):
-        motions = segment_motions(bench, model, population)
-        form = form_of_numbers(form_of_motions(bench, model, judged), motions)
+    motions = segment_motions(bench, model, population)
+    form = form_of_numbers(form_of_motions(bench, model, judged), motions)
     if section.limit is None:
         assert section.probability is not None
         limit = float(np.sqrt(limit_of(form, section.probability)))

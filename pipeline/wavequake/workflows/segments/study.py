@@ -294,6 +294,11 @@ class SegmentStudy(DisturbedStudy):
         embed_picture(record, base)
 
 
+# Keys with which a study keeps every number of its cases, and with which they are random and traced.
+WHOLE: dict[str, Any] = {"store.images": "double", "store.reduce": "none", "store.every": 1, "store.keep": []}
+TRACED = WHOLE | {"optics.light": "traced", "campaign.sampling": "random", "campaign.until": None}
+
+
 def without_images(study: SegmentStudy) -> SegmentStudy:
     """Return a study without its images and what a camera makes of them, all else alike."""
     fields = ImagingSection.model_fields

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import Fixed, Template, Variable
-from wavequake.campaign.engine.chunk_size import stored_bytes
 from wavequake.campaign.measures import Axis, Measure, stored, template_of
 from wavequake.chain.images.camera import camera_axes, camera_measures, frame_axes
 from wavequake.chain.images.extended import image_measures, lit_object_words
@@ -31,41 +30,39 @@ _BOUND = "; inf where rays may cross the edge of a segment"
 TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
 
 
+@prepared(maxsize=2)
 def template(study_text: str) -> Template:
     """Return what a store of this study holds if it keeps every instant."""
     bench = bench_of(study_text)
-    found = Template(computed(study_text))
+    return template_of(measures(bench), axes(bench), fixed(bench))
+
+
+def memory(bench: Bench) -> int:
+    """Return the bytes of the motion of a case: that of all cases of a chunk is there at the same time."""
     instants = max(population.instants for population in bench.study.disturbance)
-    motion = instants * len(bench.system.segments) * 6 * 8  # of all cases of a chunk at the same time
-    fixed = template_of((), _axes(bench), _fixed(bench)).fixed
-    return replace(found, fixed=fixed, working_bytes=stored_bytes(found) + motion)
+    return instants * len(bench.system.segments) * 6 * 8
 
 
-@prepared(maxsize=2)
-def computed(study_text: str) -> dict[str, Variable]:
-    """Return what is computed of each case, over all of its instants."""
-    variables, study = traced(study_text), bench_of(study_text).study
+def measures(bench: Bench) -> Iterator[Measure]:
+    """Yield what is computed of each case, over all of its instants."""
+    study = bench.study
+    traced = study.optics.light == "traced"
+    yield from (one for one in traced_measures(bench) if traced or one.name not in TRACED_ONLY)
     if study.rare is not None:
-        return {**variables, **template_of(_weights(), {}).per_case}
-    if study.optics.light == "traced":
-        return variables
-    return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | dict(
-        template_of(modal_measures(ERRORS, _BOUND), {}).per_case
-    )
+        yield from _weights()
+    elif not traced:
+        yield from modal_measures(ERRORS, _BOUND)
 
 
-@prepared(maxsize=2)
-def traced(study_text: str) -> dict[str, Variable]:
-    """Return what full traces, and images if the study wants them, tell of each case."""
-    variables, places = of_one_place(study_text), places_of(bench_of(study_text).study)
-    found = {
-        name: one if name in OF_ALL_PLACES else _at_places(one, places) for name, one in variables.items()
-    }
-    study = bench_of(study_text).study
-    if study.reduction is None:
-        return found
-    axes = {name: Axis(size) for name, size in places.items()}
-    return {**found, **template_of(error_measures(study, tuple(places)), axes).per_case}
+def traced_measures(bench: Bench) -> Iterator[Measure]:
+    """Yield what full traces, and images if the study wants them, tell of each case."""
+    places = tuple(places_of(bench.study))
+    for one in _measures(bench):
+        axis = place_axis(one)
+        dims = one.dims if one.name in OF_ALL_PLACES else (*one.dims[:axis], *places, *one.dims[axis:])
+        yield replace(one, dims=dims)
+    if bench.study.reduction is not None:
+        yield from error_measures(bench.study, places)
 
 
 def places_of(study: SegmentStudy) -> dict[str, int]:
@@ -84,18 +81,8 @@ def over_places(places: dict[str, int], parts: Sequence[Array], axis: int) -> Ar
     return whole.reshape(*whole.shape[:axis], *places.values(), *whole.shape[axis + 1 :])
 
 
-def _at_places(one: Variable, places: dict[str, int]) -> Variable:
-    """Return a variable at several places: after its instants, before the rest."""
-    axis = place_axis(one)
-    return replace(
-        one,
-        dims=(*one.dims[:axis], *places, *one.dims[axis:]),
-        shape=(*one.shape[:axis], *places.values(), *one.shape[axis:]),
-    )
-
-
-def place_axis(one: Variable) -> int:
-    """Return where places stand among the dimensions of a variable of one of them."""
+def place_axis(one: Variable | Measure) -> int:
+    """Return where places stand among the dimensions of a number at one of them: after its instants."""
     return int(one.dims[:1] == ("time",))
 
 
@@ -103,7 +90,7 @@ def place_axis(one: Variable) -> int:
 def of_one_place(study_text: str) -> dict[str, Variable]:
     """Return what is told of each case at one field point and wavelength."""
     bench = bench_of(study_text)
-    return dict(template_of(_measures(bench), _axes(bench)).per_case)
+    return dict(template_of(_measures(bench), axes(bench)).per_case)
 
 
 def _weights() -> Iterator[Measure]:
@@ -129,7 +116,8 @@ def _measures(bench: Bench) -> Iterator[Measure]:
         yield stored("segment_motion", "m, rad", words, ("time", "segment", "dof"))
 
 
-def _axes(bench: Bench) -> dict[str, Axis]:
+def axes(bench: Bench) -> dict[str, Axis]:
+    """Return the dimensions of the measures."""
     study, imaging = bench.study, bench.study.imaging
     found = {
         "time": Axis(max(population.instants for population in study.disturbance)),
@@ -149,11 +137,12 @@ def _axes(bench: Bench) -> dict[str, Axis]:
     return found
 
 
-def _fixed(bench: Bench) -> dict[str, Fixed]:
+def fixed(bench: Bench) -> dict[str, Fixed]:
+    """Return field points, wavefronts and images at rest."""
     benches, places = benches_of(bench.text), places_of(bench.study)
     rest = [in_basis(one, one.static.zernike[0]) * one.wavelength_nm for one in benches]
     words = "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)"
-    fixed: dict[str, Fixed] = {
+    found: dict[str, Fixed] = {
         "zernike_static": (
             (*places, "noll"),
             over_places(places, rest, 0) if places else rest[0],
@@ -163,13 +152,13 @@ def _fixed(bench: Bench) -> dict[str, Fixed]:
     if (points := bench.study.optics.fields_arcmin) is not None:
         for name, values in zip(("field_x", "field_y"), np.array(points).T, strict=True):
             about = {"units": "arcmin", "long_name": f"field point along {name[-1]}"}
-            fixed[name] = (("field",), values, about)
+            found[name] = (("field",), values, about)
     if bench.study.imaging.enabled and (shown := bench.study.object) is not None:
         still = [object_at_rest(one) for one in benches]
         whole = over_places(places, still, 0) if places else still[0]
         about = {"units": "1", "long_name": "image at rest of " + lit_object_words(shown)}
-        fixed["object_static"] = ((*places, "y", "x"), whole, about)
-    return fixed
+        found["object_static"] = ((*places, "y", "x"), whole, about)
+    return found
 
 
 def _over_annulus(bench: Bench) -> dict[str, str]:

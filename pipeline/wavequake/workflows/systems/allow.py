@@ -11,9 +11,9 @@ from wavequake.campaign.statistics.judged import Judged, judged_of_template
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
-from wavequake.mechanics.disturbances.element_motion import ElementMotion, draw_elements
 from wavequake.mechanics.disturbances.gaussian import gaussian_motions
-from wavequake.mechanics.disturbances.registry import instants_of
+from wavequake.mechanics.disturbances.motion import Motion, still
+from wavequake.mechanics.disturbances.registry import draw_case, instants_of
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
 from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_sensitivity
@@ -54,18 +54,14 @@ def system_movable(study: SystemStudy, measure: str, name: str) -> Movable:
     bench, device = _limited(system_bench(text), judged), choose_device(study.campaign.device)
     population = next(entry for entry in study.disturbance if entry.name == name)
     time = instants_of(study.disturbance, population)
-    first = draw_elements(study.disturbance, population, seed, 0, time=time, layout=bench.layout)
-    labels = _labels(first, name)
+
+    def moved(realization: int) -> Motion:
+        return draw_case(study.disturbance, population, bench.layout, seed, realization, time=time)
+
+    labels = _labels(moved(0), name)
 
     def gaussian(streams: Streams, at: Array) -> Array:
-        motion = draw_elements(study.disturbance, population, 0, 0, streams, at, bench.layout)
-        return _rows(motion, labels)
-
-    def drawn(realization: int) -> Array:
-        motion = draw_elements(
-            study.disturbance, population, seed, realization, time=time, layout=bench.layout
-        )
-        return _rows(motion, labels)
+        return _rows(draw_case(study.disturbance, population, bench.layout, 0, 0, streams, at), labels)
 
     with threadpool_limits(1):
         form, floor = _linear(bench, judged, labels, device)
@@ -86,7 +82,7 @@ def system_movable(study: SystemStudy, measure: str, name: str) -> Movable:
         seed=seed,
         unit=str(template.per_case[judged.variable].attrs["units"]),
         gaussian=lambda: gaussian_motions(name, gaussian, time),
-        drawn=drawn,
+        drawn=lambda realization: _rows(moved(realization), labels),
         traced=lambda cases: _traced(bench, judged, labels, cases, device),
     )
 
@@ -111,9 +107,9 @@ def _limited(bench: SystemBench, judged: Judged) -> SystemBench:
     )
 
 
-def _labels(motion: ElementMotion, name: str) -> list[Label]:
+def _labels(motion: Motion, name: str) -> list[Label]:
     """Return the elements and axes that a motion moves."""
-    if motion.sight.any() or any(heights.any() for heights in motion.grid.values()):
+    if motion.mount.any() or any(heights.any() for heights in motion.grid.values()):
         raise UserError(
             f"The disturbance {name!r} turns the incoming light or deforms surfaces on grids; allowances are "
             "of motions and Zernike figures of surfaces and bodies."
@@ -133,9 +129,9 @@ def _labels(motion: ElementMotion, name: str) -> list[Label]:
     return found
 
 
-def _rows(motion: ElementMotion, labels: Sequence[Label]) -> Array:
+def _rows(motion: Motion, labels: Sequence[Label]) -> Array:
     """Return a motion as rows (n, k) in m and rad."""
-    found = np.empty((len(motion.sight), len(labels)))
+    found = np.empty((len(motion.mount), len(labels)))
     for column, (element, axis) in enumerate(labels):
         if axis in DOFS:
             found[:, column] = motion.rigid[element][:, DOFS.index(axis)]
@@ -144,10 +140,10 @@ def _rows(motion: ElementMotion, labels: Sequence[Label]) -> Array:
     return found
 
 
-def _motion(rows: Array, labels: Sequence[Label]) -> ElementMotion:
+def _motion(rows: Array, labels: Sequence[Label]) -> Motion:
     """Return the motion of rows (n, k) in m and rad."""
     count = len(rows)
-    motion = ElementMotion({}, {}, np.zeros((count, 2)))
+    motion = still(count)
     terms = max((_noll(axis) for _, axis in labels if axis not in DOFS), default=0)
     for column, (element, axis) in enumerate(labels):
         if axis in DOFS:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.chain.images.system import SystemImager, on_device, prepare_images
@@ -15,8 +14,8 @@ from wavequake.kernels.device.devices import NUMPY, choose_device
 from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.kernels.trace.status import OK
 from wavequake.mechanics.assembly.plant import Plant
-from wavequake.mechanics.disturbances.element_motion import ElementMotion
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
+from wavequake.mechanics.disturbances.motion import Motion
 from wavequake.mechanics.disturbances.registry import parts
 from wavequake.optics.rays.aiming import LOSSES, losses, point_name
 from wavequake.optics.rays.pupils import sunflower
@@ -93,40 +92,28 @@ def system_bench(study_text: str) -> SystemBench:
         arrives at rest.
     """
     study = study_from_identity(SystemStudy, study_text)
-    with threadpool_limits(1):
-        system = build(study.system)
-        require_cover(system)
-        bodies = tuple(
-            rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body if one.surfaces
-        )
-        plants = plants_of_text(study_text)
-        layout = replace(layout_of(study, system), plant=plants.get(FULL))
-        _require_elements(study, system, layout)
-        system = _deformable(study, system, layout)
-        layout = replace(layout, moved=fitted(system, tuple(nodal_sources(study.disturbance))))
-        prepared = tuple(
-            tuple(_as_asked(study, one) for one in row)
-            for row in prepared_fields(study, system, range(len(system.wavelengths)))
-        )
-        rest = rest_states(system)
-        static = tuple(tuple(measure_system(one, rest, NUMPY) for one in row) for row in prepared)
-        for row, found in zip(prepared, static, strict=True):
-            for one, wavefront in zip(row, found, strict=True):
-                _require_light(one, wavefront, rest)
-        imager = _imager(study, prepared, static, rest)
+    system = build(study.system)
+    require_cover(system)
+    bodies = tuple(
+        rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body if one.surfaces
+    )
+    able = deformable(system, deforming_terms(study.body, system))
+    plants = plants_of(masses_of(study), able, bodies)
+    layout = replace(layout_of(study, system), plant=plants.get(FULL))
+    _require_elements(study, system, layout)
+    system = _deformable(study, system, layout)
+    layout = replace(layout, moved=fitted(system, tuple(nodal_sources(study.disturbance))))
+    prepared = tuple(
+        tuple(_as_asked(study, one) for one in row)
+        for row in prepared_fields(study, system, range(len(system.wavelengths)))
+    )
+    rest = rest_states(system)
+    static = tuple(tuple(measure_system(one, rest, NUMPY) for one in row) for row in prepared)
+    for row, found in zip(prepared, static, strict=True):
+        for one, wavefront in zip(row, found, strict=True):
+            _require_light(one, wavefront, rest)
+    imager = _imager(study, prepared, static, rest)
     return SystemBench(study_text, study, system, layout, bodies, prepared, static, imager, plants)
-
-
-@prepared(maxsize=2)
-def plants_of_text(study_text: str) -> dict[str, Plant]:
-    """Return the plants of the study with this identity text by the models that it compares."""
-    study = study_from_identity(SystemStudy, study_text)
-    with threadpool_limits(1):
-        system = build(study.system)
-        bodies = [
-            rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body if one.surfaces
-        ]
-        return plants_of(masses_of(study), deformable(system, deforming_terms(study.body, system)), bodies)
 
 
 def masses_of(study: SystemStudy) -> Masses:
@@ -345,10 +332,10 @@ def lost_light(prepared: PreparedSystem, states: States, instant: int) -> str:
     )
 
 
-def system_states(bench: SystemBench, drawn: ElementMotion) -> States:
+def system_states(bench: SystemBench, drawn: Motion) -> States:
     """Convert a case's motion from SI to the optics (mm), body by body and surface by surface."""
     system = bench.system
-    states = rest_states(system, len(drawn.sight))
+    states = rest_states(system, len(drawn.mount))
     for index, surface in enumerate(system.surfaces):
         if surface.name in drawn.rigid:
             states.surface_motion[:, index] = _in_mm(drawn.rigid[surface.name])
@@ -359,7 +346,7 @@ def system_states(bench: SystemBench, drawn: ElementMotion) -> States:
         if heights is not None and form is not None:
             form[:, -heights[0].size :] = heights.reshape(len(heights), -1) * MM_PER_M
     carried = [(body, _in_mm(drawn.rigid[body.name])) for body in bench.bodies if body.name in drawn.rigid]
-    return States(with_bodies(system, states.surface_motion, carried), states.deformations, drawn.sight)
+    return States(with_bodies(system, states.surface_motion, carried), states.deformations, drawn.mount)
 
 
 def _in_mm(motion: Array) -> Array:

@@ -18,12 +18,9 @@ from wavequake.chain.images.system import SystemImager
 from wavequake.chain.nodal import nodal_sources
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.trace.sequence import bends
-from wavequake.mechanics.disturbances.element_motion import (
-    ElementDisturbance,
-    ElementMotion,
-    draw_elements,
-)
-from wavequake.mechanics.disturbances.registry import instants_of
+from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
+from wavequake.mechanics.disturbances.motion import Motion
+from wavequake.mechanics.disturbances.registry import draw_case, instants_of
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.info import info
@@ -74,7 +71,7 @@ def prepare(study: SystemStudy) -> SystemBench:
     if study.optics.light == "modal":
         model_of(bench.text, choose_device(study.campaign.device).name)
     for population in study.disturbance:
-        drawn = draw_elements(study.disturbance, population, study.study.seed, 0, layout=bench.layout)
+        drawn = draw_case(study.disturbance, population, bench.layout, study.study.seed, 0)
         moving(bench.system, system_states(bench, drawn))
     return bench
 
@@ -119,7 +116,7 @@ def _seen(bench: SystemBench, imager: SystemImager, case: int, exposures: Array)
 def _seen_cases(
     bench: SystemBench,
     cases: list[int] | None,
-    motions: list[tuple[Array, ElementMotion]],
+    motions: list[tuple[Array, Motion]],
     away: list[Array | None],
     device_name: str,
     clock: Stopwatch,

@@ -12,7 +12,7 @@ from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.sequence import Moving
 from wavequake.kernels.trace.sequential_numpy import moving_part
-from wavequake.mechanics.disturbances.element_motion import ElementMotion
+from wavequake.mechanics.disturbances.motion import Motion
 from wavequake.optics.polynomials.transforms import known_transformed
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
@@ -27,7 +27,7 @@ from wavequake.workflows.systems.bench import NM_PER_MM, SystemBench, failure, s
 
 Array = NDArray[np.float64]
 
-See = Callable[[int, int, ElementMotion], Wavefront]
+See = Callable[[int, int, Motion], Wavefront]
 """From field, wavelength and motion to the wavefronts of a case."""
 # Of each case at a field and wavelength, and the instant that has no wavefront and why, if any.
 _Light = Callable[[int, int], Iterator[tuple[Wavefront, tuple[int, str] | None]]]
@@ -36,16 +36,14 @@ _Light = Callable[[int, int], Iterator[tuple[Wavefront, tuple[int, str] | None]]
 _RAYS = 1 << 22
 
 
-def measured(
-    bench: SystemBench, time: Array, drawn: ElementMotion, device: Device
-) -> tuple[dict[str, Array], str]:
+def measured(bench: SystemBench, time: Array, drawn: Motion, device: Device) -> tuple[dict[str, Array], str]:
     """Return the numbers of a case by name, ([time], field, wavelength, ...); or none, and why."""
     return measured_cases(bench, [(time, drawn)], device, Stopwatch())[0]
 
 
 def measured_cases(
     bench: SystemBench,
-    motions: list[tuple[Array, ElementMotion]],
+    motions: list[tuple[Array, Motion]],
     device: Device,
     clock: Stopwatch,
     imager: SystemImager | None = None,
@@ -100,7 +98,7 @@ def measured_cases(
 
 
 def _traced(
-    bench: SystemBench, motions: list[tuple[Array, ElementMotion]], device: Device, clock: Stopwatch
+    bench: SystemBench, motions: list[tuple[Array, Motion]], device: Device, clock: Stopwatch
 ) -> _Light:
     """Return what traces several cases."""
     states = [system_states(bench, drawn) for _, drawn in motions]
@@ -125,9 +123,7 @@ def _traced(
     return light
 
 
-def _seen(
-    bench: SystemBench, motions: list[tuple[Array, ElementMotion]], see: See, clock: Stopwatch
-) -> _Light:
+def _seen(bench: SystemBench, motions: list[tuple[Array, Motion]], see: See, clock: Stopwatch) -> _Light:
     """Return what sees several cases without rays."""
 
     def light(field: int, wavelength: int) -> Iterator[tuple[Wavefront, None]]:
@@ -147,7 +143,7 @@ def _pieces(prepared: PreparedSystem, light: Moving) -> list[Moving]:
     return [moving_part(light, slice(first, first + most)) for first in range(0, count, most)]
 
 
-def worst_instant(bench: SystemBench, time: Array, drawn: ElementMotion, device: Device) -> int:
+def worst_instant(bench: SystemBench, time: Array, drawn: Motion, device: Device) -> int:
     """Return the instant at which the wavefront at the primary wavelength changes most at any field point."""
     found, trouble = measured(bench, time, drawn, device)
     if trouble:

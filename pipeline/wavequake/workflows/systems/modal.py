@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.element_motion import ElementMotion
+from wavequake.mechanics.disturbances.motion import Motion, still
 from wavequake.optics.derivatives.modal_light import (
     ModalLight,
     Motions,
@@ -66,24 +66,25 @@ class Columns:
     width: int
     moving: NDArray[np.bool_]
 
-    def row(self, drawn: ElementMotion) -> Array:
+    def row(self, drawn: Motion) -> Array:
         """Return the motion of n instants as rows (n, width)."""
-        found = np.zeros((len(drawn.sight), self.width))
+        found = np.zeros((len(drawn.mount), self.width))
         for name, motion in drawn.rigid.items():
             found[:, self.rigid[name]] = motion
         for name, terms in drawn.figure.items():
             at = self.figure[name]
             found[:, at.start : at.start + terms.shape[-1]] = terms
-        found[:, -2:] = drawn.sight
+        found[:, -2:] = drawn.mount
         return found
 
-    def motion(self, rows: Array) -> ElementMotion:
+    def motion(self, rows: Array) -> Motion:
         """Return what `row` makes rows of."""
-        return ElementMotion(
-            {name: rows[:, at] for name, at in self.rigid.items() if self.moving[at].any()},
-            {name: rows[:, at] for name, at in self.figure.items() if self.moving[at].any()},
-            rows[:, -2:],
+        found = still(
+            len(rows),
+            rigid={name: rows[:, at] for name, at in self.rigid.items() if self.moving[at].any()},
+            figure={name: rows[:, at] for name, at in self.figure.items() if self.moving[at].any()},
         )
+        return replace(found, mount=rows[:, -2:])
 
 
 @dataclass(frozen=True)
@@ -99,22 +100,22 @@ class SystemModel:
     curvature: tuple[Array, ...]
     static: tuple[tuple[Wavefront, ...], ...]
 
-    def known(self, drawn: ElementMotion) -> bool:
+    def known(self, drawn: Motion) -> bool:
         """Return whether the model knows all that moves."""
         return not drawn.grid and not self.columns.row(drawn)[:, ~self.columns.moving].any()
 
-    def moved(self, drawn: ElementMotion) -> Array:
+    def moved(self, drawn: Motion) -> Array:
         """Return the motion of n instants as the model takes it, (n, D)."""
         return np.ascontiguousarray(self.columns.row(drawn)[:, self.columns.moving])
 
-    def bound(self, drawn: ElementMotion) -> float:
+    def bound(self, drawn: Motion) -> float:
         """Return a bound of the rms over the rays of what is left out, nm; inf if more moves than known."""
         if not self.known(drawn):
             return np.inf
         moved = self.moved(drawn)
         return max(error_bound(curvature, moved) for curvature in self.curvature)
 
-    def see(self, field: int, wavelength: int, drawn: ElementMotion) -> Wavefront:
+    def see(self, field: int, wavelength: int, drawn: Motion) -> Wavefront:
         """Return the wavefronts of a case, in the light that arrives at rest."""
         found, rest = (
             wavefronts(self.lights[field][wavelength], self.moved(drawn)),

@@ -2,12 +2,12 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.chain.images.streak import around_rows, times_between
 from wavequake.chain.images.system import exposed_instants
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, ElementMotion
+from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
+from wavequake.mechanics.disturbances.motion import Motion
 from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.derivatives.central import SensitivityMatrix, gradient
 from wavequake.optics.derivatives.sensitivity import default_steps, figure_sensitivity, rigid_sensitivity
@@ -36,7 +36,7 @@ def streaked_times(study: SystemStudy, population: ElementDisturbance) -> Array 
     return times_between(time[chosen], population.duration_s)
 
 
-def places_between(bench: SystemBench, shape: tuple[int, ...], drawn: ElementMotion) -> Array:
+def places_between(bench: SystemBench, shape: tuple[int, ...], drawn: Motion) -> Array:
     """Return how far the line of sight is from where its instant has it, (fields, n, m, 2) in mm.
 
     Parameters
@@ -44,7 +44,7 @@ def places_between(bench: SystemBench, shape: tuple[int, ...], drawn: ElementMot
     bench : SystemBench
     shape : tuple of int
         Of the times, (n, m), the first of each row at its instant.
-    drawn : ElementMotion
+    drawn : Motion
         At all of these times.
     """
     rows = flat(bench.system, system_states(bench, drawn))
@@ -53,7 +53,7 @@ def places_between(bench: SystemBench, shape: tuple[int, ...], drawn: ElementMot
     return np.asarray(sight - sight[:, :, :1])
 
 
-def places_of_rows(bench: SystemBench, population: ElementDisturbance, drawn: ElementMotion) -> Array | None:
+def places_of_rows(bench: SystemBench, population: ElementDisturbance, drawn: Motion) -> Array | None:
     """Return the same of a population with a history from a file: linear between its rows, exposed or not.
 
     Half the way to the exposed rows before and after. None for any other population, and where nothing is
@@ -86,8 +86,7 @@ def sight_gains(study_text: str) -> tuple[Array, ...]:
 def light_gains(study_text: str) -> tuple[Array, ...]:
     """Return the same with Noll coefficients after the line of sight, (columns, 2 + J), waves per mm, rad."""
     bench = system_bench(study_text)
-    with threadpool_limits(1):  # their number decides the last bits
-        return tuple(_gain(bench, row[bench.system.primary_wavelength]) for row in bench.prepared)
+    return tuple(_gain(bench, row[bench.system.primary_wavelength]) for row in bench.prepared)
 
 
 def _gain(bench: SystemBench, one: PreparedSystem) -> Array:

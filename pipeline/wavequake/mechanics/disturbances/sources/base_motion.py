@@ -1,5 +1,6 @@
 """Shaking from below: of the floor on which bodies stand, and of the cell on which elastic segments do."""
 
+from functools import lru_cache
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -161,13 +162,18 @@ def below(layout: SegmentLayout, moved: Complex) -> Complex:
 
 def answers(plant: Plant, omega: Array, moved: Complex, time: Array) -> Array:
     """Return the outputs (n, S, m) of segments whose cell moves with amplitudes (w, S, 6)."""
-    units = np.zeros((len(omega), 6), dtype=np.complex128)
-    gains = []
-    for axis in range(6):
-        units[:] = np.eye(6)[axis]
-        gains.append(steady(plant, Shaking(omega, units)))
-    swing: Complex = moved @ np.stack(gains, axis=1)  # (w, S, m)
+    swing: Complex = moved @ _gains(plant, omega.tobytes())  # (w, S, m)
     flat = swing.reshape(len(omega), -1)
     phase = np.outer(time, omega)
     found = np.cos(phase) @ flat.real - np.sin(phase) @ flat.imag
     return np.asarray(found.reshape(len(time), *swing.shape[1:]))
+
+
+@lru_cache(maxsize=2)
+def _gains(plant: Plant, frequencies: bytes) -> Complex:
+    """Return the outputs (w, 6, m) per unit motion of the cell along each axis: lines are those of all cases."""
+    omega = np.frombuffer(frequencies)
+    units = np.zeros((6, len(omega), 6), dtype=np.complex128)
+    for axis in range(6):
+        units[axis, :, axis] = 1.0
+    return np.stack([steady(plant, Shaking(omega, unit)) for unit in units], axis=1)

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 # 12 factors of 492 x 492 are 23 MB: read once for all realizations that are drawn together.
 _COHERENT_BANDS = 12
 _INCOHERENT_BANDS = 20
+_BLOCK = 128  # segments whose gusts are shaped at once
 # Neighbors whose gusts are coherent to less than this are taken as independent.
 _NO_COHERENCE = 1e-3
 
@@ -174,8 +175,14 @@ def draw_winds(
         apart = random.standard_normal((2, len(found.apart.variances), count))
         apart *= np.sqrt(found.apart.variances)[:, None]
         others.append((apart, frequencies(found.together, random), frequencies(found.apart, random)))
-    shaped = normals.reshape(bands, -1, count) @ np.swapaxes(found.factors, 1, 2)
-    together = np.moveaxis(shaped.reshape(normals.shape), 0, 2)
+    shaped = np.empty_like(normals)
+    for first in range(0, count, _BLOCK):  # nothing stands above the factors' diagonals
+        last = min(first + _BLOCK, count)
+        rows = np.swapaxes(found.factors[:, first:last, :last], 1, 2)
+        shaped[..., first:last] = (normals[..., :last].reshape(bands, -1, last) @ rows).reshape(
+            *normals.shape[:3], -1
+        )
+    together = np.moveaxis(shaped, 0, 2)
     return [
         _moved(parameters, layout, time, (slow, together[place]), (fast, apart))
         for layout, place, (apart, slow, fast) in zip(layouts, places, others, strict=True)
