@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from importlib import import_module, metadata
 from pkgutil import iter_modules
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from wavequake.errors import UserError
 
@@ -23,7 +23,7 @@ def entry_points(group: str) -> tuple[metadata.EntryPoint, ...]:
 
 
 @lru_cache(maxsize=1)
-def _declared(places: tuple[str, ...]) -> metadata.EntryPoints:
+def _declared(places: tuple[str, ...]) -> Any:  # of another type before Python 3.12
     return metadata.entry_points()
 
 
