@@ -1,6 +1,7 @@
 """Ticks that are drawn at once stand where those of matplotlib do, and say the same."""
 
 import re
+from io import StringIO
 from xml.etree import ElementTree
 
 import numpy as np
@@ -9,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from wavequake.drawing.style import STYLE, svg_text
+from wavequake.drawing.style import STYLE, show_names, stacked, svg_text
 from wavequake.drawing.ticks import draw_ticks_at_once, in_inches
 
 _SVG = "{http://www.w3.org/2000/svg}"
@@ -95,3 +96,22 @@ def test_ticks_stand_where_matplotlib_puts_them_and_say_the_same(limits, options
     assert all(one[1] == other[1] for one, other in aligned)
     np.testing.assert_allclose([one[2:] for one in said], [one[2:] for one in expected], rtol=0, atol=1.1)
     np.testing.assert_allclose(segments(ours), segments(theirs), rtol=0, atol=0.02)
+
+
+def test_a_figure_is_laid_out_as_matplotlib_saves_it():
+    """The same bytes; matplotlib draws all of the figure once more, for nothing but its layout."""
+
+    def made():
+        figure, (above, below) = stacked()
+        above.semilogy([1.0, 2.0, 3.0], [1e-3, 1.0, 1e7], label="curve")
+        below.set(xlabel="time (s)", ylabel="a long name of what is shown (nm)", title="below")
+        figure.colorbar(below.imshow([[0.0, 1.0], [2.0, 3.0]]), ax=below, label="scale")
+        figure.legend(loc="outside upper center")
+        show_names(figure)
+        return figure
+
+    saved = StringIO()
+    with rc_context(STYLE):
+        found, other = svg_text(made()), made()
+        other.savefig(saved, format="svg", dpi=150, metadata={"Date": None})
+    assert found == saved.getvalue()
