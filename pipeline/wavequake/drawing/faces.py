@@ -24,7 +24,7 @@ class Faces(PolyCollection):
         super().__init__(list(corners), facecolors=color, edgecolors=edge, linewidths=width)
         self.corners = np.asarray(corners, dtype=np.float64)
 
-    @allow_rasterization
+    @allow_rasterization  # type: ignore[untyped-decorator]
     def draw(self, renderer: RendererBase) -> None:
         """Draw each polygon."""
         writer = getattr(renderer, "writer", None)
@@ -35,7 +35,8 @@ class Faces(PolyCollection):
         points = self.get_transform().transform(self.corners.reshape(-1, 2))
         points[:, 1] = renderer.get_canvas_width_height()[1] - points[:, 1]
         outline = "M " + " L ".join(["%.2f %.2f"] * sides) + " z"
-        edge = f"stroke: {to_hex(self.get_edgecolor()[0])}; stroke-width: {self.get_linewidth()[0]:g}"
+        stroke, width = to_hex(np.asarray(self.get_edgecolor())[0]), np.asarray(self.get_linewidth())[0]
+        edge = f"stroke: {stroke}; stroke-width: {width:g}"
         colors = np.broadcast_to(np.round(255.0 * np.asarray(self.get_facecolor())[:, :3]), (count, 3))
         renderer.open_group("faces", self.get_gid())
         for places, color in zip(

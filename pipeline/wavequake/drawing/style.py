@@ -93,7 +93,7 @@ def svg_text(figure: Figure, salt: str = "wavequake") -> str:
                 engine.execute(figure)
                 figure.set_layout_engine("none")
             figure.dpi = 150  # of pictures in it
-            svg.print_svg(buffer, metadata={"Date": None})
+            svg.print_svg(buffer, metadata={"Date": None})  # type: ignore[no-untyped-call]
         finally:
             figure.set_layout_engine(engine)
             figure.set_canvas(canvas)

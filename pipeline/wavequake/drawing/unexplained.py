@@ -10,4 +10,4 @@ def leave_help_out() -> None:
     from matplotlib.artist import Artist
 
     if hasattr(Artist, "_update_set_signature_and_docstring"):
-        Artist._update_set_signature_and_docstring = classmethod(lambda cls: None)  # type: ignore[method-assign, assignment]
+        Artist._update_set_signature_and_docstring = classmethod(lambda cls: None)

@@ -47,13 +47,14 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
     top = max(float(panel.image.max()) for panel in panels)
     half = 0.5 * (axis[1] - axis[0])
     extent = (axis[0] - half, axis[-1] + half, axis[0] - half, axis[-1] + half)
-    norm = LogNorm(10.0**-_DECADES * top, top)
+    floor = 10.0**-_DECADES * top
+    norm = LogNorm(floor, top)
     for number, panel in enumerate(panels):
         row, column = divmod(number, columns)
         place = in_inches(
             figure, _LEFT + column * (side + _GAP), _BOTTOM + (rows - 1 - row) * pitch, side, side
         )
-        place.imshow(np.maximum(panel.image, norm.vmin), norm=norm, origin="lower", extent=extent)
+        place.imshow(np.maximum(panel.image, floor), norm=norm, origin="lower", extent=extent)
         place.plot(panel.track[:, 0], panel.track[:, 1], color=_TRACK, linewidth=0.8)
         place.plot(*panel.track[-1:].T, "o", color=_TRACK, markersize=2.0)
         place.set_xlim(*extent[:2])

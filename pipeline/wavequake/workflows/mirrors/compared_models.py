@@ -17,7 +17,7 @@ from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import covers, reduce_variants, reference
 from wavequake.workflows.mirrors.model_store import digest, kept_arrays
-from wavequake.workflows.mirrors.study import FULL, VariantsSection, canonical
+from wavequake.workflows.mirrors.study import FULL, ReductionSection, canonical
 
 Array = NDArray[np.float64]
 
@@ -149,13 +149,13 @@ def reduced_model(stage: Intermediate, full: Callable[[], FiniteElementModel], n
 
 
 def checked_model(
-    section: VariantsSection, lowest: float, body: Callable[[], Any], record: Mapping[str, Any]
+    section: ReductionSection, lowest: float, body: Callable[[], Any], record: Mapping[str, Any]
 ) -> tuple[Array, Array]:
     """Compare an intermediate model with the full one where its basis was not built; kept on disk.
 
     Parameters
     ----------
-    section : VariantsSection
+    section : ReductionSection
         Says how often, and up to which frequency.
     lowest : float
         Of the frequencies, Hz.

@@ -168,15 +168,15 @@ def add_images(
     """
     imaging, there, ways = bench.study.imaging, slice(piece.first, piece.last), gathered.ways
     for total, behind in zip(gathered.totals, (0.0, *imaging.focus_um), strict=True):
-        if focused is not None and not behind:
+        if isinstance(total, Smeared):
+            assert ways is not None  # what is smeared has moved
+            size = CANVAS * imaging.pixels
+            images = local_images(bench, traced, wavefront, piece.here, ways[there, 0], size, behind)
+            add_smeared(total, images, ways[there], imaging.sampling)
+        elif focused is not None and not behind:
             total += focused
-            continue
-        if ways is None or not isinstance(total, Smeared):
+        else:
             total += summed_images(bench, traced, wavefront, piece.here, behind, _frames(bench))
-            continue
-        size = CANVAS * imaging.pixels
-        images = local_images(bench, traced, wavefront, piece.here, ways[there, 0], size, behind)
-        add_smeared(total, images, ways[there], imaging.sampling)
     if gathered.lit is None:
         return
     diameter = 2.0 * bench.system.annulus.outer
@@ -188,10 +188,11 @@ def add_images(
     phases = ray_phase(bench, traced, piece.here, slopes) * (bench.unit_mm / bench.prepared.wavelength)
     for images in lit_images(lit, phases):
         last = first + len(images)
-        if ways is None or not isinstance(gathered.lit, Smeared):
-            gathered.lit[:] += images.sum(axis=0)
-        else:
+        if isinstance(gathered.lit, Smeared):
+            assert ways is not None
             add_smeared(gathered.lit, images, ways[first:last], imaging.sampling)
+        else:
+            gathered.lit[:] += images.sum(axis=0)
         first = last
 
 
@@ -260,7 +261,8 @@ def _object(bench: Bench, gathered: Gathered, instants: int) -> Array:
 
 def _mean(bench: Bench, gathered: Gathered, total: Array | Smeared, instants: int) -> Array:
     """Return the mean of a sum of images."""
-    imaging, ways = bench.study.imaging, gathered.ways
-    if ways is None or not isinstance(total, Smeared):
+    if not isinstance(total, Smeared):
         return np.asarray(total / instants)
-    return smeared_image(total, ways, CANVAS * imaging.pixels, imaging.sampling)
+    assert gathered.ways is not None
+    imaging = bench.study.imaging
+    return smeared_image(total, gathered.ways, CANVAS * imaging.pixels, imaging.sampling)
