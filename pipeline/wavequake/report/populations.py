@@ -1,7 +1,7 @@
 """From a store to the populations of its report: one per disturbance model, without the cases that failed."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,6 +19,7 @@ _SERIES = ("wfe_rms", "wfe_rms_raw", "segment_piston_rms", "los")
 _MOTIONS = ("los", "centroid")
 _NEEDED = (*_SERIES, "marechal", "status", "disturbance")
 _OF_WHOLE = ("strehl", "centroid", "rayleigh", "ee80", "peak", "time_s")
+_INSTANTS_AT_ONCE = 1 << 20
 _MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
 
 
@@ -271,24 +272,50 @@ def _numbers(dataset: xr.Dataset) -> xr.Dataset:
     if "time" not in dataset["wfe_rms"].dims:
         series = {name: dataset[name].sel(statistic="rms", drop=True) for name in _SERIES}
         return found.assign({name: one.astype(np.float64) for name, one in series.items()}).load()
+    parts = [_per_case(dataset.isel(case=slice(*ends)), whole) for ends in _pieces(dataset)]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    axes = ("case", "axis")  # else xarray asks whether arrays are Dask's, and loads it for that
+    own = {name: xr.Variable(axes[: one.ndim], one, fastpath=True) for name, one in joined.items()}
+    return found.load().assign(own)
+
+
+def _pieces(dataset: xr.Dataset) -> Iterator[tuple[int, int]]:
+    """Yield the first case and the one after the last of whole chunks that are read together."""
+    first = last = 0
+    for cases in dataset.chunksizes.get("case", (dataset.sizes["case"],)):
+        if last > first and (last + cases - first) * dataset.sizes["time"] > _INSTANTS_AT_ONCE:
+            yield first, last
+            first = last
+        last += cases
+    yield first, last
+
+
+def _per_case(part: xr.Dataset, whole: bool) -> dict[str, Array]:
+    """Return one number per case (case,) of each series, or a pair (case, axis)."""
+
+    def of(name: str) -> Array:
+        wanted = [one for one in ("case", "time", "axis") if one in part[name].dims]
+        return part[name].transpose(*wanted).to_numpy().astype(np.float64)
+
     # Populations of fewer instants than the longest one end in NaN.
-    instants = dataset["time_s"].broadcast_like(dataset["wfe_rms"]).notnull()
-    count = instants.sum("time")
+    instants = ~np.isnan(np.broadcast_to(of("time_s"), (part.sizes["case"], part.sizes["time"])))
+    count = instants.sum(axis=1)
 
-    def mean(values: xr.DataArray) -> xr.DataArray:
-        total = values.astype(np.float64).where(instants, 0.0).sum("time", skipna=False)
-        return total / count.where(count > 0)
+    def mean(values: Array) -> Array:
+        tail = (1,) * (values.ndim - 2)
+        total = np.where(instants.reshape(*instants.shape, *tail), values, 0.0).sum(axis=1)
+        return np.asarray(total / np.where(count > 0, count, np.nan).reshape(-1, *tail))
 
+    found = {"instants": count}
     for name in _SERIES:
-        squares = dataset[name].astype(np.float64) ** 2
-        squares = squares.sum("axis", skipna=False) if "axis" in squares.dims else squares
-        found[name] = mean(squares) ** 0.5
+        squares = of(name) ** 2
+        found[name] = np.sqrt(mean(squares.sum(axis=2) if squares.ndim > 2 else squares))
     for name in _MOTIONS if whole else ():
-        found[f"{name}_mean"] = mean(dataset[name])
-        found[f"{name}_variance"] = mean((dataset[name] - found[f"{name}_mean"]) ** 2)
+        found[f"{name}_mean"] = mean(of(name))
+        found[f"{name}_variance"] = mean((of(name) - found[f"{name}_mean"][:, None]) ** 2)
     if whole:
-        found["strehl_mean"] = mean(dataset["strehl"])
-    return found.assign(instants=count).load()
+        found["strehl_mean"] = mean(of("strehl"))
+    return found
 
 
 def _usable(numbers: xr.Dataset) -> NDArray[np.bool_]:
@@ -341,7 +368,7 @@ def _population(
         los_about=np.sqrt(away.sum(axis=1)),
         los_jitter=sight,
         centroid_jitter=centroid,
-        strehl=strehl[:, : int(part["instants"].max())] if known else strehl,
+        strehl=strehl[:, : int(part["instants"].to_numpy().max())] if known else strehl,
         ee80=of("ee80"),
         peak=of("peak"),
         rayleigh=of("rayleigh"),
