@@ -16,9 +16,9 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
-from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from wavequake.drawing.color_scales import colorbar
 from wavequake.drawing.faces import Faces
 from wavequake.drawing.labels import Labels
 from wavequake.drawing.style import COLORS as COLORS
@@ -30,7 +30,7 @@ from wavequake.drawing.style import as_name, hover
 from wavequake.drawing.style import curve_style as curve_style
 from wavequake.drawing.style import one_panel as one_panel
 from wavequake.drawing.style import stacked as stacked
-from wavequake.drawing.ticks import BareAxes, draw_ticks_at_once, in_inches, number_powers, power_of_ten
+from wavequake.drawing.ticks import in_inches, number_powers
 from wavequake.report.populations import Histories, Population
 from wavequake.report.segments.detail import Bent, Detail
 from wavequake.report.segments.raster import fill_segments
@@ -205,27 +205,6 @@ def summary_figure(detail: Detail, populations: Sequence[Population]) -> Figure:
 
 def _square(figure: Figure) -> Axes:
     return in_inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
-
-
-def colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
-    """Draw what colors mean beside axes in inches."""
-    box, (across, _) = axes.get_position(), figure.get_size_inches()
-    color_scale(figure, (box.x1 + 0.1 / across, box.y0, 0.13 / across, box.height), mappable, label)
-
-
-def color_scale(
-    figure: Figure, place: tuple[float, float, float, float], mappable: ScalarMappable, label: str
-) -> None:
-    """Draw the scale of colors at a place in shares of the figure; a logarithmic one at powers of ten."""
-    side = figure.add_axes(place, axes_class=BareAxes)
-    logarithmic = isinstance(mappable.norm, LogNorm)
-    bar = figure.colorbar(
-        mappable, cax=side, label=label, format=FuncFormatter(power_of_ten) if logarithmic else None
-    )
-    if logarithmic:
-        bar.ax.yaxis.set_minor_formatter(NullFormatter())
-    side.spines[:].set_visible(False)
-    draw_ticks_at_once(side)
 
 
 def _aperture(axes: Axes, detail: Detail) -> None:

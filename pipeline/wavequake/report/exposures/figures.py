@@ -11,8 +11,9 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from wavequake.drawing.color_scales import color_scale
 from wavequake.drawing.ticks import in_inches
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, color_scale, curve_style, one_panel, stacked
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel, stacked
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path
 from numpy.typing import NDArray
 
+from wavequake.drawing.color_scales import colorbar
 from wavequake.drawing.ticks import in_inches
 from wavequake.imaging.exposures.mtf import modulation_transfer
-from wavequake.report.figures import HEIGHT, STYLE, WIDTH, colorbar, curve_style, one_panel
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH, curve_style, one_panel
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]
