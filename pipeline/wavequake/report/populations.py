@@ -1,7 +1,7 @@
 """From a store to the populations of its report: one per disturbance model, without the cases that failed."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE, STATUS_MEANINGS, TODO
+from wavequake.campaign.statistics.blocks import blocks
 from wavequake.errors import UserError
 from wavequake.report.statistics import Jitter, Quantile, jitter_of_cases, quantile
 
@@ -19,7 +20,6 @@ _SERIES = ("wfe_rms", "wfe_rms_raw", "segment_piston_rms", "los")
 _MOTIONS = ("los", "centroid")
 _NEEDED = (*_SERIES, "marechal", "status", "disturbance")
 _OF_WHOLE = ("strehl", "centroid", "rayleigh", "ee80", "peak", "time_s")
-_INSTANTS_AT_ONCE = 1 << 20
 _MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
 
 
@@ -272,22 +272,12 @@ def _numbers(dataset: xr.Dataset) -> xr.Dataset:
     if "time" not in dataset["wfe_rms"].dims:
         series = {name: dataset[name].sel(statistic="rms", drop=True) for name in _SERIES}
         return found.assign({name: one.astype(np.float64) for name, one in series.items()}).load()
-    parts = [_per_case(dataset.isel(case=slice(*ends)), whole) for ends in _pieces(dataset)]
+    read = [dataset[name].variable for name in dict.fromkeys((*_SERIES, *(_MOTIONS if whole else ())))]
+    parts = [_per_case(dataset.isel(case=part), whole) for part in blocks(read)]
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     axes = ("case", "axis")  # else xarray asks whether arrays are Dask's, and loads it for that
     own = {name: xr.Variable(axes[: one.ndim], one, fastpath=True) for name, one in joined.items()}
     return found.load().assign(own)
-
-
-def _pieces(dataset: xr.Dataset) -> Iterator[tuple[int, int]]:
-    """Yield the first case and the one after the last of whole chunks that are read together."""
-    first = last = 0
-    for cases in dataset.chunksizes.get("case", (dataset.sizes["case"],)):
-        if last > first and (last + cases - first) * dataset.sizes["time"] > _INSTANTS_AT_ONCE:
-            yield first, last
-            first = last
-        last += cases
-    yield first, last
 
 
 def _per_case(part: xr.Dataset, whole: bool) -> dict[str, Array]:
