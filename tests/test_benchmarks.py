@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from benchmarks import __main__ as command
+from benchmarks._processor import MET, slower_by
 from benchmarks._verdict import ROWS, Row, verdict
 from benchmarks._whole import spent
 from rich.console import Console
@@ -28,6 +29,14 @@ def text_of(table):
 )
 def test_a_row_says_whether_it_is_met(value, least, word):
     assert Row("x", value, 2.0, 3.0, least).word == word
+
+
+def test_times_are_met_for_the_speed_of_a_processor_on_which_libraries_take_longer():
+    assert Row("x", 3.0, 2.0, 1.0, least=False, slower=1.6).word == "met for its speed: 1.88"
+    assert Row("x", 3.3, 2.0, 1.0, least=False, slower=1.6).word == "short"
+    assert Row("x", 1.9, 2.0, 3.0, slower=1.6).word == "short"  # rates and ratios are as they are
+    took = {name: factor * MET[name] for name, factor in zip(MET, (1.5, 1.6, 4.0), strict=True)}
+    assert slower_by(took) == pytest.approx(1.6)
 
 
 def test_every_benchmark_finds_what_it_takes_of_the_package():
