@@ -261,8 +261,8 @@ def test_temperatures_of_points_without_places_are_passed_over(tmp_path):
     [
         ("node,temperature_c\n1,3\n2,3\n3,3\n", TETRA, {}, "no temperature of node 4 of t.inp at step 1"),
         ("node,temperature_c\n1,3\n2,3\n3,3\n4,3\n2,4\n", TETRA, {}, "gives node 2 twice at one step"),
-        (None, TETRA.replace("1,1,2,3,4", "1,1,2,3,9"), {}, "elements name the node 9, which it does not"),
-        (None, TETRA.replace("5,1,1,1", "6,1,1,1").replace("1,1,2,3,4", "1,1,2,3,5"), {}, "name the node 5"),
+        (None, TETRA.replace("1,1,2,3,4", "1,1,2,3,9"), {}, "element 1 stands on node 9, which"),
+        (None, TETRA.replace("5,1,1,1", "6,1,1,1").replace("1,1,2,3,4", "1,1,2,3,5"), {}, "stands on node 5"),
         ("node,x_mm,y_mm,z_mm,dx_mm,dy_mm,dz_mm\n1,0,0,0,0,0,0\n", TETRA, {}, "holds displacements"),
         (None, TETRA.split("*ELEMENT")[0], {}, "has no solid elements"),
         (None, TETRA.replace("1,1,2,3,4", "1,1,2,3,3"), {}, "element 1 of its tetras is folded"),

@@ -49,7 +49,7 @@ def test_images_of_cases_that_stand_still_are_made_together(study, monkeypatch):
     made, images = [], exposures.still_images
     monkeypatch.setattr(exposures, "still_images", lambda *given: made.append(images(*given)) or made[-1])
     text, cases = only_pistons(study).identity_text(), np.arange(5, 25)
-    found, twin = (workflow.compute(text, cases, device).arrays for device in (DEVICE, "numpy"))
+    found, twin = (workflow.KIND.compute(text, cases, device).arrays for device in (DEVICE, "numpy"))
     assert sum(map(len, made)) > len(cases) - 3  # some may be too steep for a few moments
     for name in ("exposure", "peak", "ee50"):
         np.testing.assert_allclose(found[name], twin[name], rtol=0, atol=1e-5, err_msg=name)

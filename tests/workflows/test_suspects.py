@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -128,6 +129,25 @@ def test_a_case_that_takes_all_memory_is_quarantined_alone(tmp_path, monkeypatch
     assert stored.status.sel(case=3) == 2
     assert "MemoryError: Unable to allocate" in stored.message.sel(case=3).item()
     others_are_kept(stored, [3])
+
+
+def killed_at_first(connection, job, cases, memory, environment):
+    """Serve as a process of its own does, but for the first ones, which somebody kills before they begin."""
+    flags = Path(environment["FLAGS"])
+    if len(before := list(flags.iterdir())) < 2:
+        (flags / str(len(before))).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    isolation._serve(connection, job, cases, memory, environment)
+
+
+def test_a_process_that_is_killed_before_it_begins_says_nothing_of_a_case(tmp_path, monkeypatch):
+    (tmp_path / "flags").mkdir()
+    monkeypatch.setenv("FLAGS", str(tmp_path / "flags"))
+    monkeypatch.setattr(isolation, "_serve", killed_at_first)
+    summary = toy.run(tmp_path / "s", {"crash": [13]}, cases=20, on="local", workers=1)
+    assert (summary.computed, summary.quarantined) == (20, 1)
+    assert len(list((tmp_path / "flags").iterdir())) == 2
+    others_are_kept(open_store(tmp_path / "s").load(), [13])
 
 
 def test_the_usual_time_of_a_chunk_says_when_one_hangs():

@@ -38,6 +38,7 @@ from wavequake.posix import resource
 from wavequake.prepared import one_thread
 
 _START_S = 120.0  # for a process to start and to open the store
+_STARTS = 3  # of a process that somebody kills before it begins
 
 
 class NoProcessError(UserError):
@@ -88,8 +89,13 @@ def result_of_its_own(job: Job, first: int, last: int, limit_s: float) -> ChunkR
     return joined(parts)
 
 
-def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResult], _End]:
-    """Compute cases one by one in a new process; return the results up to its end, and how that came."""
+def _in_process(
+    job: Job, cases: range, limit_s: float, starts: int = _STARTS
+) -> tuple[list[ChunkResult], _End]:
+    """Compute cases one by one in a new process; return the results up to its end, and how that came.
+
+    One that is killed before it begins says nothing of the cases: another is started.
+    """
     context: Any = multiprocessing.get_context(start_of_processes())
     ours, theirs = context.Pipe(duplex=False)
     with worker_environment(), interrupts_blocked():
@@ -113,6 +119,8 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
             patience = limit_s
     except EOFError:
         process.join()
+        if not started and (process.exitcode or 0) < 0 and starts > 1:
+            return _in_process(job, cases, limit_s, starts - 1)
         if not started:
             raise NoProcessError(
                 f"The process that tries cases {cases[0]} to {cases[-1]} alone does not start: {GUARDED}"
