@@ -9,6 +9,7 @@ from wavequake.imaging.engines.segment_basis import ray_basis, segment_basis
 from wavequake.imaging.engines.segment_psf import psf
 from wavequake.kernels.device import first_batch
 from wavequake.kernels.device.devices import Device, list_devices
+from wavequake.kernels.transforms import segment_images
 
 # Processors are themselves, and pose as GPUs.
 OWN = [device for device in list_devices() if device.kind != "numpy"]
@@ -52,6 +53,16 @@ def test_tiles_take_moments_of_their_own_and_keep_their_bits(tmt, device):
     np.testing.assert_array_equal(psf(basis, phase[16:], 1e-2, device), together[16:])
     np.testing.assert_array_equal(psf(basis, phase[:5], 1e-2, device), together[:5])
     np.testing.assert_array_equal(psf(basis, phase[:1], 1e-2, device), together[:1])
+
+
+@pytest.mark.parametrize("width", [1, 8])
+def test_processors_of_narrow_vectors_make_the_same_images(tmt, device, width, monkeypatch):
+    """Some drivers say that they calculate with one number at a time."""
+    basis = segment_basis(tmt.corners, tmt.centers, 21, 0.25, tmt.diameter, 6)
+    phase = phases(tmt, 3, 0.05)
+    expected = psf(basis, phase, 10.0, device)
+    monkeypatch.setattr(segment_images, "vector_width", lambda *_, **__: width)
+    np.testing.assert_allclose(psf(basis, phase, 10.0, device), expected, rtol=0, atol=1e-6)
 
 
 def test_rays_have_pistons_alone(device):

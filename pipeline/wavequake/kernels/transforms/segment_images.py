@@ -29,7 +29,7 @@ _TALL, _EACH = 32, 4
 _PROCESSOR_TALL = {16: 12, 8: 3, 4: 1}
 # By how much images may differ from NumPy's, relative to the perfect peak.
 _TOLERANCE = {"float32": 1e-5, "float64": 1e-11}
-_KEPT: dict[tuple[int, int, Device | None], tuple[weakref.ref[Any], Any]] = {}
+_KEPT: dict[tuple[int, int, Device | int], tuple[weakref.ref[Any], Any]] = {}
 
 
 def segment_images(
@@ -131,7 +131,7 @@ def _by_processor(
     """Return the images of a tile in single precision; arguments as `segment_images`."""
     pixels, nodes = interpolation.shape
     sets, quarter, folded = twins.shape[1], matrix.shape[1], 4 if shares[1:].any() else 1
-    lanes = min(TILE, vector_width(device, np.dtype(np.float32), long=True))
+    lanes = max(4, min(TILE, vector_width(device, np.dtype(np.float32), long=True)))
     tall = _PROCESSOR_TALL[lanes]
     constants = {"W": lanes, "SINGLE": 1, "SEGMENTS": phase.shape[1], "TWINS": sets, "FOLDED": folded}
     constants |= {"MOMENTS": len(powers), "DEGREE": int(powers.sum(axis=1).max()), "HALF": nodes // 2}
@@ -182,7 +182,7 @@ def _in_blocks(array: Floating, last: int, tall: int) -> Any:
         laid_out[...] = blocks
         return laid_out
 
-    return _kept((id(array), last, None), array, make)
+    return _kept((id(array), last, tall), array, make)
 
 
 def _compare(device: Device, program: Any, images: Floating, twin: Callable[[], Floating]) -> None:
@@ -207,7 +207,7 @@ def _there(device: Device, array: Floating, last: int) -> Any:
     )
 
 
-def _kept(key: tuple[int, int, Device | None], array: Floating, make: Callable[[], Any]) -> Any:
+def _kept(key: tuple[int, int, Device | int], array: Floating, make: Callable[[], Any]) -> Any:
     """Return what was made of an array, as long as that lives."""
     kept = _KEPT.get(key)
     if kept is None or kept[0]() is not array:
